@@ -3,7 +3,7 @@
 #![allow(clippy::print_stdout)]
 
 use photocurrent_core::{Extent, FrameTimes};
-use photocurrent_diagnosis::{Options, diagnose};
+use photocurrent_diagnosis::{DiagnosisOptions, diagnose};
 use photocurrent_scene::case::{Case, CaseFrames, PixelEvents};
 use photocurrent_sensor::forward::{FrameReadout, LinearLight, Noiseless, read_frames, simulate_events};
 use photocurrent_sensor::{effects::Site, model::Model};
@@ -50,7 +50,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let (events, frames) = (PixelEvents::new(events), Some(CaseFrames::new(times, dn)));
     let case = Case { extent, span, events, has_t_in: true, t_resolution_ns: 1, frames, sensor: described };
-    let found = diagnose(&case, &Options::default())?;
+    let found = diagnose(&case, &DiagnosisOptions::default())?;
     println!("{}: {}", found.report.verdict.name(), found.report.summary);
     for effect in &found.report.effects {
         let sizes: Vec<String> =

@@ -9,7 +9,7 @@ use crate::support::root;
 use std::process::Command;
 
 /// What is not said, and what is said instead.
-const RETIRED: [(&[&str], &str); 24] = [
+const RETIRED: [(&[&str], &str); 31] = [
     (&["most probable light"], "MAP estimate (of the photocurrent)"),
     (&["told", "tell", "tells", "telling"], "reported, stated, given, distinguished"),
     (
@@ -39,12 +39,20 @@ const RETIRED: [(&[&str], &str); 24] = [
     (&["put back", "puts back"], "recovered, restored"),
     (&["beside"], "with, in addition to; next to"),
     (&["sealed", "edition", "editions"], "concealed, blind; version 1, 2"),
-    (&["next to nothing", "good to a", "good to the"], "a number with its unit"),
+    (&["next to nothing", "next to none", "good to a", "good to the"], "a number with its unit"),
+    (&["caution", "cautions", "cautious", "take care", "takes care"], "variance factor"),
+    (&["contradictions"], "innovations; inconsistencies"),
+    (&["from when on"], "threshold"),
+    (&["nothing is decided"], "abstains; no decision"),
+    (&["as posed"], "as modelled by the solver"),
+    (&["what the events say", "nobody asks"], "evidence; evaluated"),
+    (&["worth a word"], "material"),
 ];
 
 /// Where a word means something else: what stands around it is taken out before the search.
-const ORDINARY: [(&str, &str); 11] = [
+const ORDINARY: [(&str, &str); 12] = [
     ("false alarm", "the standard term"),
+    ("CAUTION_QUARTERS", "a reserve of the schedule's estimate of memory"),
     ("cos^4 law", "the name of natural vignetting's formula"),
     ("sealed physics, ", "the seeds of the concealed recordings, which make their content"),
     (" edition\"", "the ends of those seeds"),

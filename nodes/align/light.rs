@@ -1,8 +1,7 @@
-//! `align/light`: the light of a scene as the pixels of an event array see it.
+//! `align/light`: the light of a scene on the pixels of an event array.
 //!
 //! With the light of the frames' pixels and the places of an alignment, a simulated pair of cameras is two
-//! sensors: one before this light, of which the events are taken, and one before the scene's own, of which
-//! the frames are taken.
+//! sensors. One records events of this light, the other frames of the scene's own.
 //!
 //! Limits: no light behind a mosaic; an event pixel has an instant wherever one of the pixels that it covers
 //! has one.
@@ -63,7 +62,7 @@ fn plan_of(light: &LightMeta, array: Extent) -> Result<LightMeta, NodeError> {
 impl Node for AlignLight {
     const DECL: Decl = Decl {
         kind: "align/light",
-        about: "Light of a scene as the pixels of an event array see it: the events of a simulated pair of \
+        about: "Light of a scene on the pixels of an event array: for the events of a simulated pair of \
                 cameras.",
         revision: 1,
         grain: Grain::Whole,
@@ -99,11 +98,11 @@ in   = { light = "seen.light", sensor = "sensor" }
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let alignment = Alignment::of(&input.alignment)?;
+        let alignment = Alignment::from_map(&input.alignment)?;
         let own = &input.light.meta;
         let meta = plan_of(own, alignment.events)?;
         let band = input.light.read(own.extent.rows())?;
-        let (cell, channels) = (alignment.cell(), own.colour.channels());
+        let (cell, channels) = (alignment.pixel_parts(), own.colour.channels());
         let received = input.sensor.as_deref().map(event_weights).transpose()?.flatten();
         let colours = block_weights(own.colour, 1, (0, 0), received);
         cx.begin(u64::from(meta.extent.height), "rows");
@@ -155,11 +154,11 @@ mod tests {
         Light::in_memory(Arc::new(meta), band)
     }
 
-    fn seen(light: Light, by: f64) -> Light {
-        seen_by(light, by, None)
+    fn aligned_light(light: Light, by: f64) -> Light {
+        aligned_light_of(light, by, None)
     }
 
-    fn seen_by(light: Light, by: f64, weights: Option<[f64; 3]>) -> Light {
+    fn aligned_light_of(light: Light, by: f64, weights: Option<[f64; 3]>) -> Light {
         let mut sensor = Sensor::unknown("events");
         sensor.optics.event_weights = weights;
         let alignment = alignment(EXTENT, &shifted(by));
@@ -171,7 +170,7 @@ mod tests {
     fn a_pixel_between_others_sees_their_mean_at_every_instant() {
         let own = light(Colour::Mono);
         let band = own.read(EXTENT.rows()).unwrap();
-        let found = seen(own, 0.5).read(EXTENT.rows()).unwrap();
+        let found = aligned_light(own, 0.5).read(EXTENT.rows()).unwrap();
         for t in [0, 1_234, 1_777, 5_000, 10_000] {
             let of = |x: u32, y: u32| at(band.pixel(x, y), t).unwrap();
             let mean = 0.25 * (of(2, 1) + of(3, 1) + of(2, 2) + of(3, 2));
@@ -183,12 +182,12 @@ mod tests {
     #[test]
     fn pixels_that_lie_on_pixels_see_these_and_colours_are_mixed() {
         let own = light(Colour::Mono);
-        let same = seen(own.clone(), 0.0);
+        let same = aligned_light(own.clone(), 0.0);
         assert_eq!(same.read(EXTENT.rows()).unwrap(), own.read(EXTENT.rows()).unwrap());
         let colours = light(Colour::Rgb);
         let band = colours.read(EXTENT.rows()).unwrap();
         for weights in [[1.0 / 3.0; 3], [0.2, 0.5, 0.3]] {
-            let mixed = seen_by(colours.clone(), 0.0, Some(weights)).read(EXTENT.rows()).unwrap();
+            let mixed = aligned_light_of(colours.clone(), 0.0, Some(weights)).read(EXTENT.rows()).unwrap();
             let of = |c: u32| weights[c as usize] * at(band.pixel(3 * 4 + c, 2), 3_000).unwrap();
             let expected = (0..3).map(of).sum::<f64>();
             // Light is f32.

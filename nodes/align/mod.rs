@@ -1,4 +1,4 @@
-//! Two cameras become one: what an event array saw and what frames show, on the pixels of either.
+//! Aligns two cameras: events and frames on the pixels of either.
 
 pub mod light;
 pub mod recording;

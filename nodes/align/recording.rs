@@ -1,9 +1,9 @@
-//! `align/recording`: frames as the pixels of the event array see them, and every event once.
+//! `align/recording`: frames on the pixels of the event array, and every event once.
 //!
-//! Events that were warped onto the pixels of another camera's frames are seen by several of them, or by
-//! none that lies at their place. On the event array's own grid each event pixel is one, and the frames are
-//! seen where it lies: there a recording is solved as one of a single sensor. `align/tracks` brings what was
-//! solved back to the pixels of the frames.
+//! Events that were warped onto the pixels of another camera's frames may appear in several pixels, or in
+//! none at their place. On the event array's own grid each event pixel is one, and the frames are sampled at
+//! its place. There a recording is solved like one of a single sensor. `align/tracks` brings the solved
+//! tracks back to the frames' pixels.
 //!
 //! Limits: frames of a global shutter; a mosaic goes through `render/demosaic` first; event pixels that share
 //! their pixel of the frames with a nearer one have no events.
@@ -66,7 +66,7 @@ pub struct AlignRecording {
     params: Params,
 }
 
-/// Whose pixels the events have, and what comes out.
+/// The pixels of the events, and the outputs' metadata.
 ///
 /// # Errors
 /// When sizes do not meet, or these events or frames cannot be brought to the array.
@@ -94,7 +94,7 @@ pub(crate) fn plan_of(
     }
     if frames.colour.is_mosaic() {
         return Err(NodeError::usage(format!("frames are {}", frames.colour))
-            .hint("put render/demosaic between: neighbours of a mosaic have other colours"));
+            .hint("put render/demosaic between: neighbouring pixels of a mosaic have other colours"));
     }
     if frames.times.row_time_ns != 0 {
         return Err(NodeError::usage(format!(
@@ -107,9 +107,9 @@ pub(crate) fn plan_of(
     Ok((pixels, events, FramesMeta { extent: array, ..frames.clone() }))
 }
 
-/// Of each pixel of the frames the event pixel whose events are taken from it.
-fn takers(alignment: &Alignment, frames: Extent) -> Vec<Option<usize>> {
-    let around = alignment.around(frames);
+/// For each pixel of the frames the event pixel whose events are taken from it.
+fn source_event_pixels(alignment: &Alignment, frames: Extent) -> Vec<Option<usize>> {
+    let around = alignment.bilinear_weights(frames);
     let width = frames.width as usize;
     // Of each event pixel the nearest of the pixels that it is nearest to.
     let mut best: Vec<Option<(f32, usize)>> = vec![None; alignment.events.pixels()];
@@ -140,7 +140,7 @@ pub(crate) fn on_array(
     cx: &Context,
 ) -> Result<EventBand, NodeError> {
     let frames = events.meta.extent;
-    let takers = takers(alignment, frames);
+    let takers = source_event_pixels(alignment, frames);
     let seen = (0..alignment.events.pixels()).filter(|at| alignment.is_seen(*at, frames)).count();
     let taken = takers.iter().flatten().count();
     cx.count(seen.saturating_sub(taken) as u64, "event pixels have no pixel of the frames, and no events");
@@ -201,7 +201,7 @@ pub(crate) fn frames_on_array(
 impl Node for AlignRecording {
     const DECL: Decl = Decl {
         kind: "align/recording",
-        about: "Frames as the event array sees them, and every event once, on the array's own pixels.",
+        about: "Frames resampled to the event array, and every event once, on the array's own pixels.",
         revision: 2,
         grain: Grain::Whole,
         draws: false,
@@ -238,7 +238,7 @@ in   = { events = "array.events", frames = "array.frames", sensor = "sensor" }
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let alignment = Alignment::of(&input.alignment)?;
+        let alignment = Alignment::from_map(&input.alignment)?;
         let (pixels, events, frames) =
             plan_of(self.params.events, &input.events.meta, &input.frames.meta, alignment.events)?;
         cx.begin(input.frames.len() as u64, "frames");

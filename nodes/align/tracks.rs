@@ -1,12 +1,12 @@
 //! `align/tracks`: tracks of the event array as tracks of the frames' pixels.
 //!
-//! Between the four event pixels around a pixel the logarithm of light is bilinear; its knots are those of
-//! the nearest one. With the events connected, light is taken along the motion: what stands between event
-//! pixels stood at each of them a little before, or will a little later, so that an edge that moves keeps its
-//! width. What the frames show finer than that is `render/colour`'s, with the same alignment.
+//! Log light is bilinear between the four event pixels around a pixel; its knots are those of the nearest
+//! one. With the events connected, light is interpolated along the motion, so that a moving edge keeps its
+//! width. What stands between event pixels passed each of them a little before, or will a little later. Finer
+//! detail of the frames comes from `render/colour`, with the same alignment.
 //!
-//! Limits: beyond the event array a pixel has the track of the nearest event pixel as far as one pitch, and
-//! none further out.
+//! Limits: outside the event array a pixel has the track of the nearest event pixel up to one pitch, and none
+//! further out.
 
 use photocurrent_core::handle::Band;
 use photocurrent_core::{
@@ -14,8 +14,8 @@ use photocurrent_core::{
     NodeError, PortMetas, TrackBand, TrackSet, TracksMeta,
 };
 use photocurrent_scene::activity::Activity;
-use photocurrent_scene::alignment::{Alignment, Around};
-use photocurrent_scene::film::{Fired, LogTracks};
+use photocurrent_scene::alignment::{Alignment, BilinearWeights};
+use photocurrent_scene::film::{EventTimes, LogTracks};
 use photocurrent_scene::flow::{Flow, MotionParams};
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -73,7 +73,7 @@ struct InBetween<'a> {
 }
 
 impl InBetween<'_> {
-    /// How much later than at a place of the array what moves there is at another one `off` of it, ns.
+    /// Delay with which a moving object at `place` of the array reaches the place `off` pixels away, ns.
     fn later_ns(&self, place: (f64, f64), off: (f64, f64), t_ns: i64) -> i64 {
         let Some(flow) = self.flow else { return 0 };
         let [right, down] = flow.at(place.0, place.1, t_ns);
@@ -82,7 +82,7 @@ impl InBetween<'_> {
     }
 
     /// The knots of a pixel: time, photocurrent, standard deviation of its logarithm.
-    fn knots(&self, around: &Around, out: &mut Vec<(i64, f32, f32)>) {
+    fn knots(&self, around: &BilinearWeights, out: &mut Vec<(i64, f32, f32)>) {
         out.clear();
         let column_row = |at: usize| ((at % self.array) as f64, (at / self.array) as f64);
         let pixels = || around.at.iter().copied().zip(around.weights).filter(|(_, weight)| *weight > 0.0);
@@ -126,7 +126,7 @@ fn motion(log: &LogTracks, meta: &TracksMeta, events: &EventStream) -> Result<Fl
         (0..row.len()).map(move |k| (usize::from(row.x[k]), y as usize, row.t[k]))
     });
     let activity = Activity::new(meta.extent, span, places);
-    Ok(Flow::of_tracks(log, span, &activity, (&MotionParams::default(), false)))
+    Ok(Flow::estimate(log, span, &activity, (&MotionParams::default(), false)))
 }
 
 impl Node for AlignTracks {
@@ -180,11 +180,11 @@ in   = { tracks = "back.tracks", sensor = "sensor" }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let meta = plan_of(&input.tracks.meta, &input.frames.meta)?;
-        let alignment = Alignment::of(&input.alignment)?;
-        let around = alignment.around(meta.extent);
+        let alignment = Alignment::from_map(&input.alignment)?;
+        let around = alignment.bilinear_weights(meta.extent);
         let (extent, array) = (alignment.events, alignment.events.width as usize);
         let band = input.tracks.read(extent.rows())?;
-        let fired = Arc::new(Fired::new((0..extent.pixels()).map(|_| Vec::new())));
+        let fired = Arc::new(EventTimes::new((0..extent.pixels()).map(|_| Vec::new())));
         let log = LogTracks::new(extent, band.clone(), &fired);
         let flow = input.events.map(|events| motion(&log, &input.tracks.meta, &events)).transpose()?;
         let between = InBetween { band: &band, log: &log, flow: flow.as_ref(), array };

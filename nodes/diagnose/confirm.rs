@@ -1,23 +1,23 @@
-//! `diagnose/confirm`: one answer from direct tests and from what was decided on a scene, the description
-//! with what was found put in, and the proof.
+//! `diagnose/confirm`: joins direct tests and the decision on a scene into a verdict, the fitted description
+//! and the held-out check.
 //!
-//! The verdict joins what the stages before found; the fitted description is the stated one with the claimed
-//! effects; the proof predicts held-out frames, nominal and fitted. The report is what `diagnosis.json`
-//! holds, byte for byte.
+//! The fitted description is the stated one with the reported effects. The check predicts held-out frames
+//! with the nominal and with the fitted description. The report is the content of `diagnosis.json`, byte for
+//! byte.
 //!
-//! Limits: see docs/diagnosis.md. A page is made only when something takes it.
+//! Limits: see docs/diagnosis.md. A page is made only when an output takes it.
 
 use photocurrent_core::{
     Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Meta, Node,
     NodeError, PortMetas, Sensor,
 };
-use photocurrent_diagnosis::diagnose::{Setting, confirm};
+use photocurrent_diagnosis::diagnose::{ConfirmSetting, confirm};
 use photocurrent_diagnosis::page::page;
 use photocurrent_diagnosis::stages::{read_integrity, read_proposals};
 use std::sync::Arc;
 
 photocurrent_core::ports! {
-    /// The recording, what is stated of its sensor, and what the stages before found.
+    /// The recording, its description, and the results of the stages before.
     pub struct In {
         /// The events.
         events: Option<EventStream>,
@@ -25,9 +25,9 @@ photocurrent_core::ports! {
         frames: Option<FrameSequence>,
         /// The nominal description.
         sensor: Arc<Sensor>,
-        /// What direct tests saw, a diagnosis of kind `integrity`.
+        /// Findings of the direct tests, a diagnosis of kind `integrity`.
         integrity: Arc<Diagnosis>,
-        /// What is decided on a scene, a diagnosis of kind `proposals`; without it direct tests answer alone.
+        /// The decision on a scene, a diagnosis of kind `proposals`; without it direct tests decide alone.
         proposals: Option<Arc<Diagnosis>>,
     }
 }
@@ -35,25 +35,25 @@ photocurrent_core::ports! {
 photocurrent_core::ports! {
     /// The answer.
     pub struct Out {
-        /// The answer: a diagnosis of kind `report`, what `diagnosis.json` holds.
+        /// A diagnosis of kind `report`: the content of `diagnosis.json`.
         report: Arc<Diagnosis>,
         /// The same for people: a diagnosis of kind `page`.
         page: Option<Arc<Diagnosis>>,
-        /// The description with what was found put in; nominal when nothing was.
+        /// The description with the findings applied; the nominal one without findings.
         sensor: Arc<Sensor>,
     }
 }
 
 /// The node.
 pub struct DiagnoseConfirm {
-    setting: Setting,
+    setting: ConfirmSetting,
 }
 
 impl Node for DiagnoseConfirm {
     const DECL: Decl = Decl {
         kind: "diagnose/confirm",
-        about: "Joins what direct tests found and what was decided on a scene: verdict, fitted description, \
-                proof on held-out frames, report.",
+        about: "Joins direct tests and the decision on a scene: verdict, fitted description, check on \
+                held-out frames, report.",
         revision: 36,
         grain: Grain::Whole,
         draws: true,
@@ -81,11 +81,11 @@ kind = "diagnose/confirm"
 in   = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor", integrity = "integrity.findings", proposals = "decide" }
 "#,
     };
-    type Params = Setting;
+    type Params = ConfirmSetting;
     type In = In;
     type Out = Out;
 
-    fn build(setting: Setting) -> Result<Self, NodeError> {
+    fn build(setting: ConfirmSetting) -> Result<Self, NodeError> {
         Ok(DiagnoseConfirm { setting })
     }
 
@@ -103,7 +103,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let case = super::case(input.events.as_ref(), input.frames.as_ref(), &input.sensor)?;
         let proposed =
             input.proposals.map(|document| read_proposals(&document)).transpose()?.unwrap_or_default();
-        let setting = Setting { seed: cx.seed(), ..self.setting };
+        let setting = ConfirmSetting { seed: cx.seed(), ..self.setting };
         let integrity = read_integrity(&input.integrity)?;
         let before = integrity.findings.len();
         let found = confirm(&case, &setting, integrity, proposed)?;

@@ -1,50 +1,50 @@
-//! `diagnose/decide`: probabilities from evidence: that something differs from the stated sensor, which
-//! effect it is, whether there is a second one, or that it is in no catalogue.
+//! `diagnose/decide`: posterior probabilities from evidence: of a difference from the stated sensor, of each
+//! effect, of a second one, and of an uncatalogued dependence.
 //!
-//! One small model with calibrated numbers for each kind of scene, all of them parameters here;
-//! `photocurrent-calibrate` makes them anew from simulated recordings. Evidence is cached by itself, so that
-//! another model or threshold is tried in no time.
+//! One small model per kind of scene, with calibrated numbers, which are parameters here.
+//! `photocurrent-calibrate` recomputes them from simulated recordings. Evidence is cached by itself, so that
+//! other numbers or thresholds cost no new evidence.
 //!
-//! Source: docs/diagnosis.md, the moving picture. Limits: without evidence, or where what is left has no
-//! explanation, nothing is decided, and the proposals say why.
+//! Source: docs/diagnosis.md, the moving picture. Limits: without evidence, or where no effect explains the
+//! misfit, the decision abstains, and the proposals give the reason.
 
 use photocurrent_core::{
     Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor,
 };
-use photocurrent_diagnosis::decide::Decision;
-use photocurrent_diagnosis::stages::{Proposed, read_evidence, write_proposals};
-use photocurrent_diagnosis::whole::proposed;
+use photocurrent_diagnosis::decide::DecisionThresholds;
+use photocurrent_diagnosis::stages::{DecisionOutcome, read_evidence, write_proposals};
+use photocurrent_diagnosis::whole::decide_outcome;
 use photocurrent_scene::nominal::Nominal;
 use std::sync::Arc;
 
 photocurrent_core::ports! {
-    /// What the events say, and the description that they were held against.
+    /// The evidence, and the description with which events were compared.
     pub struct In {
-        /// What residuals say of every effect, a diagnosis of kind `evidence`.
+        /// Evidence of the residuals for every effect, a diagnosis of kind `evidence`.
         evidence: Arc<Diagnosis>,
-        /// The description, with what direct tests found.
+        /// The description, with the direct tests' findings.
         sensor: Arc<Sensor>,
     }
 }
 
 photocurrent_core::ports! {
-    /// What may be missing.
+    /// The decision.
     pub struct Out {
-        /// What is decided, or why nothing is: a diagnosis of kind `proposals`.
+        /// The decision, or the reason for abstaining: a diagnosis of kind `proposals`.
         proposals: Arc<Diagnosis>,
     }
 }
 
 /// The node.
 pub struct DiagnoseDecide {
-    decision: Decision,
+    decision: DecisionThresholds,
 }
 
 impl Node for DiagnoseDecide {
     const DECL: Decl = Decl {
         kind: "diagnose/decide",
-        about: "Makes probabilities of evidence: that something differs, which effect it is, a second one, \
-                or none of the catalogue.",
+        about: "Computes posterior probabilities from evidence: of a difference, of each effect, of a second \
+                one, and of none of the catalogue.",
         revision: 20,
         grain: Grain::Whole,
         draws: false,
@@ -69,11 +69,11 @@ in     = { evidence = "evidence", sensor = "integrity.sensor" }
 params = { least = 0.9 }
 "#,
     };
-    type Params = Decision;
+    type Params = DecisionThresholds;
     type In = In;
     type Out = Out;
 
-    fn build(decision: Decision) -> Result<Self, NodeError> {
+    fn build(decision: DecisionThresholds) -> Result<Self, NodeError> {
         Ok(DiagnoseDecide { decision })
     }
 
@@ -85,9 +85,9 @@ params = { least = 0.9 }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let seen = read_evidence(&input.evidence)?;
-        let proposed = proposed(seen, &Nominal::of(&input.sensor), &self.decision);
-        if let Proposed::Nothing(why) = &proposed {
-            cx.note(format!("nothing is decided: {why}"));
+        let proposed = decide_outcome(seen, &Nominal::of(&input.sensor), &self.decision);
+        if let DecisionOutcome::Nothing(why) = &proposed {
+            cx.note(format!("no decision: {why}"));
         }
         Ok(Out { proposals: Arc::new(write_proposals(&proposed)?) })
     }

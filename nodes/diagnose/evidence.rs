@@ -1,35 +1,37 @@
-//! `diagnose/evidence`: which effects explain by how much the events of a recording miss their thresholds, on
-//! a scene that frames alone state.
+//! `diagnose/evidence`: ranks effects by how much they explain of the events' misfit to their thresholds, on
+//! a scene that is estimated from frames alone.
 //!
-//! One moving picture is fitted to the frames; the stated sensor looks at it, and every event says by how
-//! much voltage less reference missed its threshold. Each effect of the catalogue is fitted to those
-//! residuals and judged on blocks of pixels that it was not fitted to; random effects are parts of their
-//! distribution; what no effect has is free per bin of every covariate. A control, the stated sensor on that
-//! scene with the noise that was found, goes the same way, and all gains and sizes count from there. What
-//! direct tests found is in the description before.
+//! One moving picture is fitted to the frames. The stated sensor is applied to it, and for every event
+//! voltage less reference is compared with the threshold. Each effect of the catalogue is fitted to these
+//! residuals and evaluated on held-out blocks of pixels. Random effects are components of their distribution.
+//! Uncatalogued dependences are free per bin of every covariate. A control, the stated sensor simulated on
+//! that scene with the estimated noise, is evaluated in the same way, and all gains and sizes are relative to
+//! it. The direct tests' findings are in the description before.
 //!
-//! Where that scene leaves too much, the light of each pixel is estimated from frames and events, and every
-//! effect is scored against what that light would take over.
+//! Where the misfit of that scene is too large, the light of each pixel is estimated from frames and events,
+//! and every effect is scored with that light adapted.
 //!
-//! With `target`, `light` or `tracks` the scene is known, and no picture is fitted: events are held against
-//! it, and frame values too, with a column of each effect of frames.
+//! With `target`, `light` or `tracks` the scene is known and no picture is fitted. Events are compared with
+//! it, and frame values too, with a column for each effect of frames.
 //!
-//! Source: docs/diagnosis.md, the moving picture. Limits: where frames do not predict one another and
-//! edges pass pixels within a millisecond there is no evidence, and the document says why.
+//! Source: docs/diagnosis.md, the moving picture. Limits: where frames do not predict one another and edges
+//! pass pixels within a millisecond there is no evidence, and the document gives the reason.
 
-use super::Amend;
+use super::KnownFindings;
 use super::target::read_target;
 use photocurrent_core::{
     Between, Colour, Context, DataType, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream,
     FrameSequence, Grain, Light, Meta, Node, NodeError, PortMetas, Sensor, TrackSet,
 };
 use photocurrent_diagnosis::residual::ranking::evidence;
-use photocurrent_diagnosis::stages::{Seen, write_evidence};
-use photocurrent_diagnosis::whole::{Estimated, OnScene, amended, on_frames, seen};
+use photocurrent_diagnosis::stages::{EvidenceOutcome, write_evidence};
+use photocurrent_diagnosis::whole::{
+    SceneSetting, SceneSource, amend_or_refuse, evidence_outcome, on_frames,
+};
 use photocurrent_scene::Scene;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::known::KnownLight;
-use photocurrent_scene::light::Knots;
+use photocurrent_scene::light::LightKnots;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -39,15 +41,15 @@ use std::sync::Arc;
 #[serde(default)]
 #[schemars(extend("additionalProperties" = false))]
 pub struct Params {
-    /// The scene, and what events miss on it.
+    /// Scene and evidence.
     #[serde(flatten)]
-    pub on_scene: OnScene,
-    /// What is taken for known.
-    pub amend: Amend,
+    pub on_scene: SceneSetting,
+    /// Findings that are applied to the description before.
+    pub amend: KnownFindings,
 }
 
 photocurrent_core::ports! {
-    /// The recording, what is stated of its sensor, and what shows without a scene.
+    /// The recording, its description, and the findings of direct tests.
     pub struct In {
         /// The events.
         events: Option<EventStream>,
@@ -55,23 +57,25 @@ photocurrent_core::ports! {
         frames: Option<FrameSequence>,
         /// The nominal description.
         sensor: Arc<Sensor>,
-        /// What direct tests saw, a diagnosis of kind `integrity`; without it nothing is amended.
+        /// Findings of the direct tests, a diagnosis of kind `integrity`; without it the description stays as
+        /// it is.
         integrity: Option<Arc<Diagnosis>>,
-        /// A known target, a diagnosis of kind `target`: no picture is fitted then, and what is free of the
-        /// target is fitted with every effect.
+        /// A known target, a diagnosis of kind `target`: no picture is fitted then, and its free parameters
+        /// are fitted with every effect.
         target: Option<Arc<Diagnosis>>,
         /// Light that is known, of the array's pixels, grey: no picture is fitted then, either.
         light: Option<Light>,
-        /// The same as tracks. Those that were solved from these very events have taken most of what a sensor
-        /// does: they should come from elsewhere.
+        /// The same as tracks. Tracks solved from these very events have absorbed most effects of the sensor:
+        /// use others.
         tracks: Option<TrackSet>,
     }
 }
 
 photocurrent_core::ports! {
-    /// What the events say.
+    /// The evidence.
     pub struct Out {
-        /// What the residuals say of every effect, or why there are none: a diagnosis of kind `evidence`.
+        /// Evidence of the residuals for every effect, or the reason why there is none: a diagnosis of kind
+        /// `evidence`.
         evidence: Arc<Diagnosis>,
     }
 }
@@ -82,12 +86,12 @@ pub struct DiagnoseEvidence {
 }
 
 impl DiagnoseEvidence {
-    fn compare(&self, input: &In, cx: &Context) -> Result<Seen, NodeError> {
+    fn compare(&self, input: &In, cx: &Context) -> Result<EvidenceOutcome, NodeError> {
         let case = super::case(input.events.as_ref(), input.frames.as_ref(), &input.sensor)?;
-        let integrity = self.params.amend.of(input.integrity.as_deref())?;
-        let case = match amended(&case, &integrity)? {
+        let integrity = self.params.amend.select_from(input.integrity.as_deref())?;
+        let case = match amend_or_refuse(&case, &integrity)? {
             Ok(case) => case,
-            Err(why) => return Ok(Seen::Nothing(why)),
+            Err(why) => return Ok(EvidenceOutcome::Nothing(why)),
         };
         let nominal = case.nominal()?;
         let mut setting = self.params.on_scene;
@@ -96,34 +100,34 @@ impl DiagnoseEvidence {
             (Some(target), ..) => Box::new(read_target(target, &case, &nominal)?),
             (_, Some(light), _) => Box::new(KnownLight::new(&case, &nominal, knots(light, &case)?.into())),
             (.., Some(tracks)) => {
-                Box::new(KnownLight::new(&case, &nominal, of_tracks(tracks, &case)?.into()))
+                Box::new(KnownLight::new(&case, &nominal, sampled_tracks(tracks, &case)?.into()))
             }
             _ => return Ok(on_frames(&case, &nominal, &integrity, &setting)),
         };
-        Ok(seen(evidence(&case, &nominal, &*known, &setting.evidence)))
+        Ok(evidence_outcome(evidence(&case, &nominal, &*known, &setting.evidence)))
     }
 }
 
 /// The light of every pixel.
-fn knots(light: &Light, case: &Case) -> Result<Vec<Knots>, NodeError> {
+fn knots(light: &Light, case: &Case) -> Result<Vec<LightKnots>, NodeError> {
     let band = light.read(case.extent.rows())?;
     let of = |pixel: usize| {
-        let (x, y) = case.place(pixel);
+        let (x, y) = case.pixel_place(pixel);
         let series = band.pixel(x, y);
         (series.t.to_vec(), series.photocurrent.iter().map(|i| f64::from(*i)).collect())
     };
     Ok((0..case.extent.pixels()).map(of).collect())
 }
 
-/// The light of every pixel as tracks have it, at even instants.
-fn of_tracks(tracks: &TrackSet, case: &Case) -> Result<Vec<Knots>, NodeError> {
+/// Light of every pixel from tracks, at even instants.
+fn sampled_tracks(tracks: &TrackSet, case: &Case) -> Result<Vec<LightKnots>, NodeError> {
     /// Between them light is linear, ns.
     const STEP_NS: usize = 100_000;
     let band = tracks.read(case.extent.rows())?;
     let is_held = tracks.meta.between == Between::Hold;
     let instants: Vec<i64> = (case.span.0..=case.span.1).step_by(STEP_NS).collect();
-    let of = |pixel: usize| -> Knots {
-        let (x, y) = case.place(pixel);
+    let of = |pixel: usize| -> LightKnots {
+        let (x, y) = case.pixel_place(pixel);
         let series = band.pixel(x, y);
         let (t, light) = (series.t, series.photocurrent);
         if t.is_empty() {
@@ -147,8 +151,8 @@ fn of_tracks(tracks: &TrackSet, case: &Case) -> Result<Vec<Knots>, NodeError> {
 impl Node for DiagnoseEvidence {
     const DECL: Decl = Decl {
         kind: "diagnose/evidence",
-        about: "Computes how much each effect of the catalogue explains of what events miss their \
-                thresholds by, on a scene of frames alone or of frames and events, or on known light.",
+        about: "Computes how much of the events' misfit to their thresholds each effect of the catalogue \
+                explains, on a scene of frames alone or of frames and events, or on known light.",
         revision: 23,
         grain: Grain::Whole,
         draws: true,
@@ -221,27 +225,27 @@ params = { refined = 8 }
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let seen = if self.params.on_scene.scene == Estimated::None
+        let seen = if self.params.on_scene.scene == SceneSource::None
             && input.target.is_none()
             && input.light.is_none()
             && input.tracks.is_none()
         {
-            Seen::NotAsked
+            EvidenceOutcome::NotAsked
         } else {
             self.compare(&input, cx)?
         };
         match &seen {
-            Seen::NotAsked => {}
-            Seen::Nothing(why) => cx.note(format!("the scene is no evidence: {why}")),
-            Seen::Evidence(found) => cx.note(format!(
-                "{} events looked at, in places where {:.0} % of all are",
+            EvidenceOutcome::NotAsked => {}
+            EvidenceOutcome::Nothing(why) => cx.note(format!("the scene gives no evidence: {why}")),
+            EvidenceOutcome::Evidence(found) => cx.note(format!(
+                "{} events evaluated, in places with {:.0} % of all",
                 found.events,
                 100.0 * found.share
             )),
         }
         let written = match (write_evidence(&seen), &seen) {
-            (Err(_), Seen::Evidence(_)) => {
-                write_evidence(&Seen::Nothing("what events say on this scene is not finite".into()))
+            (Err(_), EvidenceOutcome::Evidence(_)) => {
+                write_evidence(&EvidenceOutcome::Nothing("the evidence on this scene is not finite".into()))
             }
             (written, _) => written,
         };

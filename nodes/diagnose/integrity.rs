@@ -1,18 +1,18 @@
-//! `diagnose/integrity`: what shows in a recording without an estimate of its scene.
+//! `diagnose/integrity`: tests of a recording that need no estimate of its scene.
 //!
-//! Data that contradict themselves, stamps on a coarser grid than stated, a readout queue, hot rows and
-//! pixels, noise events, lost events, events in step with the frames, leaks, lost light, late events; and
-//! flicker of the light, which is no fault of the sensor. What is found is put into a copy of the
-//! description, so that later stages look for the rest.
+//! They detect inconsistent data, stamps on a coarser grid than stated, a readout queue, hot rows and pixels,
+//! noise events, lost events, events in step with the frames, leaks, lost light and late events; and flicker
+//! of the light, which is no fault of the sensor. The findings are applied to a copy of the description, so
+//! that later stages search for the rest.
 //!
-//! Limits: every test is strict, and finding nothing proves nothing. Hot rows and pixels stand in the
-//! findings only: they are left out, not described.
+//! Limits: every test is strict, and the absence of findings proves nothing. Hot rows and pixels are listed
+//! in the findings only: they are left out, not described.
 
 use photocurrent_core::{
     Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Meta, Node,
     NodeError, PortMetas, Sensor,
 };
-use photocurrent_diagnosis::diagnose::{amend, check};
+use photocurrent_diagnosis::diagnose::{amend_case, check};
 use photocurrent_diagnosis::integrity::Integrity;
 use photocurrent_diagnosis::stages::write_integrity;
 use schemars::JsonSchema;
@@ -23,24 +23,24 @@ use std::sync::Arc;
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Which tests count.
-    pub tests: Tests,
+    /// The tests that are run.
+    pub tests: TestSelection,
 }
 
 /// Which tests count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum Tests {
+pub enum TestSelection {
     /// All of them.
     #[default]
     All,
-    /// Only those that say whether the data can be used: departures of the sensor are left to the stages that
-    /// estimate the scene.
+    /// Only those of the data's consistency: departures of the sensor are left to the stages that estimate
+    /// the scene.
     BrokenData,
 }
 
 photocurrent_core::ports! {
-    /// The recording, one of its streams at least, and what is stated of its sensor.
+    /// The recording, at least one of its streams, and its description.
     pub struct In {
         /// The events.
         events: Option<EventStream>,
@@ -52,11 +52,11 @@ photocurrent_core::ports! {
 }
 
 photocurrent_core::ports! {
-    /// What was seen.
+    /// The findings.
     pub struct Out {
-        /// What was seen: a diagnosis of kind `integrity`.
+        /// The findings: a diagnosis of kind `integrity`.
         findings: Arc<Diagnosis>,
-        /// The description with what was found put in; nominal when nothing was.
+        /// The description with the findings applied; the nominal one without findings.
         sensor: Arc<Sensor>,
     }
 }
@@ -69,7 +69,7 @@ pub struct DiagnoseIntegrity {
 impl Node for DiagnoseIntegrity {
     const DECL: Decl = Decl {
         kind: "diagnose/integrity",
-        about: "Looks for what shows in a recording without its scene: broken data, stamps, hot rows and \
+        about: "Tests a recording without an estimate of its scene: broken data, stamps, hot rows and \
                 pixels, noise, loss.",
         revision: 14,
         grain: Grain::Whole,
@@ -106,8 +106,8 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let case = super::case(input.events.as_ref(), input.frames.as_ref(), &input.sensor)?;
         let found = check(&case)?;
         let found = match self.params.tests {
-            Tests::All => found,
-            Tests::BrokenData => {
+            TestSelection::All => found,
+            TestSelection::BrokenData => {
                 Integrity { findings: Vec::new(), masked: Vec::new(), dependences: Vec::new(), ..found }
             }
         };
@@ -116,7 +116,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         found.dependences.iter().for_each(|dependence| cx.note(dependence.equation()));
         Ok(Out {
             findings: Arc::new(write_integrity(&found)?),
-            sensor: Arc::new(amend(&case, &found)?.sensor),
+            sensor: Arc::new(amend_case(&case, &found)?.sensor),
         })
     }
 }

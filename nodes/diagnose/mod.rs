@@ -1,9 +1,8 @@
-//! The stages of a diagnosis as nodes: where a recording and its description differ, and which physics is
-//! missing.
+//! The stages of a diagnosis as nodes: differences between a recording and its description, and the missing
+//! physics.
 //!
-//! Each stage calls one function of `photocurrent_diagnosis`; what passes between them is a document with a
-//! kind. The wiring of a whole diagnosis is `pipelines/diagnose/recording.toml`; docs/diagnosis.md explains
-//! what the stages do.
+//! Each stage calls one function of `photocurrent_diagnosis`; the stages exchange documents with a kind. The
+//! wiring of a whole diagnosis is `pipelines/diagnose/recording.toml`; docs/diagnosis.md explains the stages.
 
 pub mod confirm;
 pub mod decide;
@@ -23,24 +22,24 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// What is taken for known of what direct tests found.
+/// Findings of direct tests that are applied before the next stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum Amend {
+pub enum KnownFindings {
     /// It is put into the description, and pixels that they exclude are left out.
     #[default]
     Findings,
-    /// Nothing: the recording and its description are as they are.
+    /// None: the recording and its description stay as they are.
     Nothing,
 }
 
-impl Amend {
-    /// Of a document of direct tests; without one nothing is known.
-    fn of(self, document: Option<&Diagnosis>) -> Result<Integrity, NodeError> {
+impl KnownFindings {
+    /// Selects findings from a document of direct tests; none without a document.
+    fn select_from(self, document: Option<&Diagnosis>) -> Result<Integrity, NodeError> {
         let found = document.map(read_integrity).transpose()?.unwrap_or_default();
         Ok(match self {
-            Amend::Findings => found,
-            Amend::Nothing => Integrity { findings: Vec::new(), masked: Vec::new(), ..found },
+            KnownFindings::Findings => found,
+            KnownFindings::Nothing => Integrity { findings: Vec::new(), masked: Vec::new(), ..found },
         })
     }
 }
@@ -54,8 +53,8 @@ fn case(
     Ok(Case::read(events, frames, sensor)?)
 }
 
-/// Refuses, before any data, what cannot be diagnosed: no stream, frames of another form than the events, a
-/// description that lacks what the model needs.
+/// Refuses inputs that cannot be diagnosed before their data are read: no stream, frames of another form than
+/// the events, a description that lacks what the model needs.
 fn check(inputs: &PortMetas) -> Result<&Arc<Sensor>, NodeError> {
     empty(inputs)?;
     inputs.sensor("sensor")
@@ -83,9 +82,8 @@ fn empty(inputs: &PortMetas) -> Result<Case, NodeError> {
     Ok(empty)
 }
 
-/// A description that is not known yet is planned as the stated one: who takes it needs most of its fields,
-/// and a diagnosis changes few. A node whose outputs look otherwise with the change (another row time, say)
-/// says so when it runs.
+/// A description that is not known yet is planned as the stated one, as a diagnosis changes few fields. A
+/// node whose outputs depend on the change (another row time, say) reports it when it runs.
 fn planned(sensor: &Arc<Sensor>) -> Meta {
     Meta::Sensor(sensor.clone())
 }

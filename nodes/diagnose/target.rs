@@ -1,16 +1,16 @@
-//! `diagnose/target`: the light of a known target: a scene in closed form whose named free parameters are
-//! fitted to the frames.
+//! `diagnose/target`: the light of a known target: a scene in closed form with named free parameters, fitted
+//! to the frames.
 //!
-//! A rotating star, a fan, a sliding board: what it looks like is stated as for `simulate/scene`; where it
-//! stands, how fast it turns and when it began is only known to a range. Each range is searched, then the
-//! best few are fitted by damped Gauss-Newton with robust weights (Student's t) to a sample of the frame
-//! values, each the mean of the scene over its row's exposure. `target` is the fitted scene with what is free
-//! of it, for `diagnose/evidence`, which fits it with every effect; `light` is the light of it over the
-//! recording, for everything that takes light.
+//! The target is stated as for `simulate/scene`: a rotating star, a fan, a sliding board. Its place, speed
+//! and phase are known to a range. Each range is searched, then the best few candidates are fitted by damped
+//! Gauss-Newton with robust weights (Student's t) to a sample of the frame values. Each of these is the mean
+//! of the scene over its row's exposure. `target` is the fitted scene with its free parameters, for
+//! `diagnose/evidence`, which fits them with every effect; `light` is its light over the recording, for every
+//! input that takes light.
 //!
-//! Source: docs/diagnosis.md, known targets. Limits: the whole array sees the target; what is free of it
-//! hides an effect that is exactly alike (`illuminance` an exposure time), so state what is known; the sensor
-//! that frames are predicted with is the one stated.
+//! Source: docs/diagnosis.md, known targets. Limits: the whole array sees the target. A free parameter hides
+//! an effect that is exactly alike (`illuminance` an exposure time), so state what is known. Frames are
+//! predicted with the stated sensor.
 
 use crate::simulate::scenes::{self, Details};
 use crate::simulate::source::{Look, Scale};
@@ -23,9 +23,9 @@ use photocurrent_core::{
 };
 use photocurrent_scene::case::Case;
 use photocurrent_scene::closed::ClosedScene;
-use photocurrent_scene::light::Knots;
+use photocurrent_scene::light::LightKnots;
 use photocurrent_scene::nominal::Nominal;
-use photocurrent_scene::target::{Form, Target, TargetSetting};
+use photocurrent_scene::target::{FittedTarget, TargetForm, TargetSetting};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -38,12 +38,12 @@ use std::sync::Arc;
 #[schemars(deny_unknown_fields)]
 #[serde(default)]
 pub struct Params {
-    /// What is seen.
+    /// The scene.
     pub scene: scenes::Name,
     /// Light on it.
     #[schemars(extend("x-min" = "0.001 lx", "x-max" = "1000000 lx"))]
     pub illuminance: Illuminance,
-    /// How far it stands to the right of where `simulate/scene` has it, pixels.
+    /// Shift to the right of its place in `simulate/scene`, pixels.
     #[schemars(range(min = -1000.0, max = 1000.0))]
     pub shift_x: f64,
     /// And further down, pixels.
@@ -55,8 +55,7 @@ pub struct Params {
     /// Blur of the lens, standard deviation in pixels.
     #[schemars(range(min = 0.0, max = 5.0))]
     pub blur: f64,
-    /// What is fitted: names of parameters, those of the scene as `siemens_disk.speed`, each with the range
-    /// that it lies in.
+    /// Free parameters by name, those of the scene as `siemens_disk.speed`, each with its range.
     pub free: BTreeMap<String, [Value; 2]>,
     /// How it is fitted.
     #[serde(flatten)]
@@ -83,7 +82,7 @@ impl Default for Params {
 }
 
 photocurrent_core::ports! {
-    /// The recording, and what is stated of its sensor.
+    /// The recording and its description.
     pub struct In {
         /// The events: only when they were recorded.
         events: Option<EventStream>,
@@ -101,7 +100,7 @@ photocurrent_core::ports! {
         light: Light,
         /// The fitted free parameters, with standard errors.
         fitted: Arc<Table>,
-        /// The same target with what is free of it, for `diagnose/evidence`: a diagnosis of kind `target`.
+        /// The same target with its free parameters, for `diagnose/evidence`: a diagnosis of kind `target`.
         target: Arc<Diagnosis>,
     }
 }
@@ -110,7 +109,7 @@ const WHO: &str = "diagnose/target";
 
 /// A free parameter: where it is, and the ends of its range.
 #[derive(Clone, Debug)]
-struct Free {
+struct RangedParameter {
     name: String,
     pointer: String,
     from: f64,
@@ -118,13 +117,13 @@ struct Free {
     unit: Option<String>,
 }
 
-impl Free {
-    fn new(name: &str, ends: &[Value; 2], params: &Value) -> Result<Free, NodeError> {
+impl RangedParameter {
+    fn new(name: &str, ends: &[Value; 2], params: &Value) -> Result<RangedParameter, NodeError> {
         let wrong = |what: String, hint: &str| NodeError::usage(what).hint(hint.to_owned()).param("free");
         let pointer = format!("/{}", name.replace('.', "/"));
-        let now = params
-            .pointer(&pointer)
-            .filter(|now| now.is_number() || now.as_str().is_some_and(|text| parts(text).is_some()));
+        let now = params.pointer(&pointer).filter(|now| {
+            now.is_number() || now.as_str().is_some_and(|text| number_and_unit(text).is_some())
+        });
         if now.is_none() || ["free", "values", "tries"].contains(&name) {
             return Err(wrong(
                 format!("`{name}` is no number of this target"),
@@ -134,7 +133,7 @@ impl Free {
         let one = |end: &Value| -> Option<(f64, Option<String>)> {
             end.as_f64()
                 .map(|value| (value, None))
-                .or_else(|| parts(end.as_str()?).map(|(value, unit)| (value, Some(unit))))
+                .or_else(|| number_and_unit(end.as_str()?).map(|(value, unit)| (value, Some(unit))))
         };
         let hint = "give the least and the greatest value it may have, both in the same unit: [\"280 rpm\", \
                     \"300 rpm\"]";
@@ -142,7 +141,7 @@ impl Free {
             (Some((from, unit)), Some((to, other)))
                 if unit == other && from < to && unit.is_some() == now.is_some_and(Value::is_string) =>
             {
-                Ok(Free { name: name.into(), pointer, from, to, unit })
+                Ok(RangedParameter { name: name.into(), pointer, from, to, unit })
             }
             _ => Err(wrong(format!("the range of `{name}` is {} to {}", ends[0], ends[1]), hint)),
         }
@@ -160,13 +159,13 @@ impl Free {
     }
 }
 
-/// Number and unit of a quantity's text.
-fn parts(text: &str) -> Option<(f64, String)> {
+/// Number and unit of a quantity's text; `None` where it is none.
+fn number_and_unit(text: &str) -> Option<(f64, String)> {
     let (number, unit) = text.trim().split_once(' ')?;
     Some((number.parse().ok()?, unit.trim().to_owned()))
 }
 
-/// A scene as the camera stands before it.
+/// A scene with the camera's shift and the light on it.
 struct LitScene {
     scene: Box<dyn ClosedScene>,
     shift: (f64, f64),
@@ -227,7 +226,7 @@ impl ClosedScene for LitScene {
         if until == i64::MAX { until } else { until - self.start_ns }
     }
 
-    fn knots(&self, x: f64, y: f64, span: (i64, i64)) -> Knots {
+    fn knots(&self, x: f64, y: f64, span: (i64, i64)) -> LightKnots {
         LOOK.sample(self, None, (x, y), span.0, span.1, 1.0)
             .into_iter()
             .map(|(t, photocurrent)| (t + span.0, photocurrent))
@@ -236,15 +235,15 @@ impl ClosedScene for LitScene {
 }
 
 /// All targets within the ranges of the free parameters.
-struct Family {
+struct TargetFamily {
     params: Value,
-    free: Vec<Free>,
+    free: Vec<RangedParameter>,
     extent: Extent,
     sensor: Sensor,
     seed: u64,
 }
 
-impl Family {
+impl TargetFamily {
     fn params(&self, shares: &[f64]) -> Result<Params, NodeError> {
         let mut value = self.params.clone();
         for (free, share) in self.free.iter().zip(shares) {
@@ -258,7 +257,7 @@ impl Family {
     }
 }
 
-impl Form for Family {
+impl TargetForm for TargetFamily {
     fn count(&self) -> usize {
         self.free.len()
     }
@@ -271,7 +270,7 @@ impl Form for Family {
 
 /// A fitted target as a document.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Fitted {
+struct FittedTargetDocument {
     /// Nominal, with the ranges.
     params: Value,
     seed: u64,
@@ -281,13 +280,13 @@ struct Fitted {
 
 /// A target from its document, its free parameters fitted to the frames of a recording from where they were
 /// found.
-pub fn read_target(document: &Diagnosis, case: &Case, nominal: &Nominal) -> Result<Target, NodeError> {
-    let Fitted { params, seed, shares } = document.read()?;
+pub fn read_target(document: &Diagnosis, case: &Case, nominal: &Nominal) -> Result<FittedTarget, NodeError> {
+    let FittedTargetDocument { params, seed, shares } = document.read()?;
     let params: Params = serde_json::from_value(params)
         .map_err(|why| NodeError::failed(format!("a fitted target cannot be read: {why}")))?;
     let node = DiagnoseTarget::build(params)?;
     let form = Arc::new(node.family(case.extent, &case.sensor, seed));
-    Target::near(case, nominal, form, node.setting(seed), &shares)
+    FittedTarget::fit_near(case, nominal, form, node.setting(seed), &shares)
         .ok_or_else(|| NodeError::failed("the fitted target makes no scene".to_owned()))
 }
 
@@ -300,12 +299,18 @@ fn light_meta(case: &Case, count_hint: Option<u64>) -> LightMeta {
 pub struct DiagnoseTarget {
     params: Params,
     json: Value,
-    free: Vec<Free>,
+    free: Vec<RangedParameter>,
 }
 
 impl DiagnoseTarget {
-    fn family(&self, extent: Extent, sensor: &Sensor, seed: u64) -> Family {
-        Family { params: self.json.clone(), free: self.free.clone(), extent, sensor: sensor.clone(), seed }
+    fn family(&self, extent: Extent, sensor: &Sensor, seed: u64) -> TargetFamily {
+        TargetFamily {
+            params: self.json.clone(),
+            free: self.free.clone(),
+            extent,
+            sensor: sensor.clone(),
+            seed,
+        }
     }
 
     fn setting(&self, seed: u64) -> TargetSetting {
@@ -316,7 +321,7 @@ impl DiagnoseTarget {
 impl Node for DiagnoseTarget {
     const DECL: Decl = Decl {
         kind: "diagnose/target",
-        about: "Fits named free parameters of a known target to the frames, and gives its light.",
+        about: "Fits named free parameters of a known target to the frames, and returns its light.",
         revision: 3,
         grain: Grain::Whole,
         draws: true,
@@ -347,8 +352,8 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
         let free = params
             .free
             .iter()
-            .map(|(name, ends)| Free::new(name, ends, &json))
-            .collect::<Result<Vec<Free>, NodeError>>()?;
+            .map(|(name, ends)| RangedParameter::new(name, ends, &json))
+            .collect::<Result<Vec<RangedParameter>, NodeError>>()?;
         let node = DiagnoseTarget { params, json, free };
         for end in [0.0, 1.0] {
             node.free.iter().try_for_each(|free| {
@@ -383,18 +388,17 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
         let case = super::case(input.events.as_ref(), Some(&input.frames), &input.sensor)?;
         let nominal = case.nominal()?;
         let family = Arc::new(self.family(case.extent, &input.sensor, cx.seed()));
-        let target = Target::fit(&case, &nominal, family.clone(), self.setting(cx.seed()))
+        let target = FittedTarget::fit(&case, &nominal, family.clone(), self.setting(cx.seed()))
             .ok_or_else(|| NodeError::failed("the target's parameters make no scene".to_owned()))?;
         let (shares, errors) = (target.shares(), target.errors());
         let params = family.params(shares)?;
         for (free, share) in self.free.iter().zip(shares) {
-            let at_end =
-                if (0.001..0.999).contains(share) { "" } else { ", the end of its range: look further" };
+            let at_end = if (0.001..0.999).contains(share) { "" } else { ", the end of its range: widen it" };
             cx.note(format!("{} = {}{at_end}", free.name, free.json(*share).to_string().trim_matches('"')));
         }
         cx.note(format!(
             "frame values miss the target by {:.2} standard deviations (median; 0.67 is noise alone)",
-            target.left()
+            target.median_residual()
         ));
         let scene = LitScene::new(&params, case.extent, &input.sensor, cx.seed())?;
         let pixel = |n: u32| -> Vec<(i64, f32)> {
@@ -408,8 +412,9 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
         let count = pixels.iter().map(Vec::len).sum::<usize>() as u64;
         pixels.into_iter().for_each(|pixel| band.push(pixel));
         let meta = light_meta(&case, Some(count));
-        let texts = |of: &dyn Fn(&Free) -> String| Column::Texts(self.free.iter().map(of).collect());
-        let numbers = |of: &dyn Fn(&Free, usize) -> f64| {
+        let texts =
+            |of: &dyn Fn(&RangedParameter) -> String| Column::Texts(self.free.iter().map(of).collect());
+        let numbers = |of: &dyn Fn(&RangedParameter, usize) -> f64| {
             Column::Numbers(self.free.iter().zip(0..).map(|(free, k)| of(free, k)).collect())
         };
         let fitted = Table::default()
@@ -417,7 +422,8 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
             .with("value", numbers(&|free, k| free.value(shares[k])))
             .with("error", numbers(&|free, k| errors[k] * (free.to - free.from)))
             .with("unit", texts(&|free| free.unit.clone().unwrap_or_default()));
-        let found = Fitted { params: self.json.clone(), seed: cx.seed(), shares: shares.to_vec() };
+        let found =
+            FittedTargetDocument { params: self.json.clone(), seed: cx.seed(), shares: shares.to_vec() };
         let document = Diagnosis::of(DiagnosisKind::Target, &found)?;
         Ok(Out {
             light: Light::in_memory(Arc::new(meta), band),

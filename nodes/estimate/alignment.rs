@@ -1,21 +1,21 @@
-//! `estimate/alignment`: how far an alignment of two cameras misses, and the alignment without that.
+//! `estimate/alignment`: estimates the error of an alignment of two cameras, and corrects it.
 //!
-//! The events of an event pixel between two frames count the change of the frames at its place. The shift at
-//! which both agree best is estimated to a fraction of a pixel, constant or affine over the array, together
-//! with how late events are ([`photocurrent_scene::misalignment`]). Pixels are then solved without some of
-//! their frames, as each shift places them: the shift is applied where it predicts these frames better by
-//! far, and left out otherwise. Events and frames come out on the event array, as those of
-//! `align/recording`, which this node stands in for: events that were warped lie where the given alignment
-//! placed them, and only what the frames show of each event pixel is taken from the better place.
+//! The events of an event pixel between two frames measure the change of the frames at its place. The shift
+//! at which both agree best is estimated to a fraction of a pixel, constant or affine over the array,
+//! together with the delay of the events ([`photocurrent_scene::misalignment`]). Pixels are then solved
+//! without some of their frames at the shifted places. The shift is applied where it predicts these frames
+//! better by far, and left out otherwise. Events and frames are returned on the event array, as by
+//! `align/recording`, which this node replaces: warped events lie where the given alignment placed them, and
+//! only the frames' values of each event pixel come from the corrected place.
 //!
-//! Limits: shifts of up to three pixels; a scene that moves one way leaves the shift along the motion open,
-//! as late events look the same (the interval is then wide); intervals are those of draws, and leave out what
-//! a slow front end does to the counts: those of two clips of a DAVIS346, whose events and frames have the
-//! same pixels, are off 0 by 0.04 to 0.09 pixels (`-0.09 to -0.04`, `0.06 to 0.50`), and nothing is applied;
-//! frames of a global shutter; a mosaic goes through `render/demosaic` first; at least four frames, or
-//! nothing is applied.
+//! Limits: shifts of up to three pixels. A scene that moves in one direction leaves the shift along the
+//! motion open, as late events look the same (the interval is then wide). Intervals are those of draws,
+//! without the effect of a slow front end on the counts: those of two clips of a DAVIS346, whose events and
+//! frames have the same pixels, are off 0 by 0.04 to 0.09 pixels (`-0.09 to -0.04`, `0.06 to 0.50`), and
+//! nothing is applied. Frames of a global shutter; a mosaic goes through `render/demosaic` first; at least
+//! four frames, or nothing is applied.
 
-use super::{Row, held_out, table};
+use super::{TableRow, held_out, table};
 use crate::align::recording::{Pixels, frames_on_array, on_array, plan_of};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::TableMeta;
@@ -24,9 +24,9 @@ use photocurrent_core::{
     Meta, Node, NodeError, PortMetas, Sensor, Table,
 };
 use photocurrent_scene::alignment::Alignment;
-use photocurrent_scene::grey::{Clipped, Grey};
+use photocurrent_scene::grey::{GreyFrames, SaturatedMean};
 use photocurrent_scene::image::{Image, smooth};
-use photocurrent_scene::misalignment::{Compared, Form, Misalignment, PARTS, Sample};
+use photocurrent_scene::misalignment::{ChangesAndEvents, Misalignment, PARTS, ShiftForm, ShiftSample};
 use photocurrent_solve::pixel_events::clock_offset;
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -60,16 +60,16 @@ photocurrent_core::ports! {
         /// The alignment so far: of `read/alignment`. Absent = pixel on pixel, or a whole number of frame
         /// pixels on each.
         alignment: Option<MapSet>,
-        /// What is known of the sensor: black level, saturation and the weights of colours are used where
-        /// they are stated.
+        /// The description: black level, saturation and the weights of colours are used where they are
+        /// stated.
         sensor: Option<Arc<Sensor>>,
     }
 }
 
 photocurrent_core::ports! {
-    /// What was found.
+    /// The results.
     pub struct Out {
-        /// The alignment with the shift where that is better, and the one that was given otherwise.
+        /// The alignment with the shift where that is better; the input alignment otherwise.
         alignment: MapSet,
         /// The events on the event array's own pixels, each once.
         events: EventStream,
@@ -82,14 +82,14 @@ photocurrent_core::ports! {
 
 /// Both pictures are smoothed by this before they are compared, pixels.
 const SMOOTH: f64 = 1.2;
-/// What is darker than this part of a bright value counts as so dark.
+/// Darkest value that is used, as a share of a bright one; darker ones count as this.
 const DARK: f32 = 0.01;
-/// From this part of the largest value on a frame may be saturated, where nothing states that.
+/// Share of the largest value from which a frame value may be saturated, where no level is stated.
 const SATURATED: f32 = 0.995;
 /// Samples, at most, and of a search.
 const SAMPLES: usize = 240_000;
 const COARSE: usize = 40_000;
-/// One of about so many pixels changes between two frames.
+/// Least share of pixels, one in this many, that change between two frames.
 const FEW_CHANGE: usize = 8;
 /// Less than this many events, and less change than this, is no change.
 const FEWEST_EVENTS: f32 = 0.25;
@@ -125,8 +125,8 @@ fn by_pixels(events: Extent, frames: Extent) -> Result<Alignment, NodeError> {
     })
 }
 
-/// What comes in, ready to be compared.
-struct Recorded {
+/// Inputs, prepared for the comparison.
+struct AlignmentInputs {
     events: EventBand,
     stream: EventStream,
     /// How late events are by the description, ns.
@@ -136,14 +136,14 @@ struct Recorded {
     frames: FrameSequence,
     full: Option<f32>,
     black: f32,
-    /// What the captured frames are on the event array.
+    /// Metadata of the captured frames on the event array.
     meta: FramesMeta,
 }
 
-impl Recorded {
-    fn new(input: &In, cx: &Context) -> Result<Recorded, NodeError> {
+impl AlignmentInputs {
+    fn new(input: &In, cx: &Context) -> Result<AlignmentInputs, NodeError> {
         let alignment = match &input.alignment {
-            Some(map) => Alignment::of(map)?,
+            Some(map) => Alignment::from_map(map)?,
             None => by_pixels(input.events.meta.extent, input.frames.meta.extent)?,
         };
         let array = input.alignment.as_ref().map(|map| map.meta.extent);
@@ -154,25 +154,29 @@ impl Recorded {
         };
         let unknown = Sensor::unknown("alignment");
         let sensor = input.sensor.as_deref().unwrap_or(&unknown);
-        let grey = Grey::new(input.frames.meta.extent, &input.frames.meta, sensor)?;
-        let frames = grey.frames(&input.frames, Clipped::Mean)?;
+        let grey = GreyFrames::new(input.frames.meta.extent, &input.frames.meta, sensor)?;
+        let frames = grey.frames(&input.frames, SaturatedMean::Mean)?;
         let full = sensor.frames.saturation_dn.map(|full| full as f32);
         let black = sensor.frames.black_level_dn.unwrap_or(0.0) as f32;
         let stream = EventStream::in_memory(Arc::new(of_events), events.clone());
         let offset_ns = clock_offset(sensor)?.offset_ns as f64;
-        Ok(Recorded { events, stream, offset_ns, alignment, frames, full, black, meta })
+        Ok(AlignmentInputs { events, stream, offset_ns, alignment, frames, full, black, meta })
     }
 
     /// Frames as the event pixels of an alignment see them, above black.
-    fn seen(&self, frames: &FrameSequence, alignment: &Alignment) -> Result<FrameSequence, NodeError> {
+    fn frames_on_event_pixels(
+        &self,
+        frames: &FrameSequence,
+        alignment: &Alignment,
+    ) -> Result<FrameSequence, NodeError> {
         let meta = FramesMeta { extent: alignment.events, ..(*frames.meta).clone() };
         let mut block = frames_on_array(frames, alignment, &meta, &|| Ok(()))?;
         block.dn.iter_mut().for_each(|dn| *dn -= self.black);
         Ok(FrameSequence::in_memory(Arc::new(meta), block))
     }
 
-    /// Pairs of neighbouring frames with most events, at most so many, in order of time, and the usual
-    /// period.
+    /// The pairs of neighbouring frames with most events, at most `most`, in order of time, and the usual
+    /// period, ns.
     fn pairs(&self, most: usize) -> (Vec<usize>, i64) {
         let mids: Vec<i64> = self.frames.meta.times.exposures.iter().map(|e| e.mid().0).collect();
         let mut periods: Vec<i64> = mids.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -233,7 +237,7 @@ impl Recorded {
 }
 
 /// A pair of neighbouring frames.
-struct Pair {
+struct FramePair {
     /// The first of them.
     frame: usize,
     /// Light of each pixel of the frames between the two.
@@ -241,29 +245,29 @@ struct Pair {
     saturated: Vec<bool>,
 }
 
-/// The changes of the frames, and what a search over them needs.
-struct Search<'a> {
-    recorded: &'a Recorded,
-    pairs: Vec<Pair>,
+/// The changes of the frames, and the data for a search over them.
+struct ShiftSearch<'a> {
+    recorded: &'a AlignmentInputs,
+    pairs: Vec<FramePair>,
     changes: Vec<Image>,
     /// The light that is usual where something changes.
     usual: f32,
     period: i64,
 }
 
-impl Search<'_> {
-    fn new(recorded: &Recorded, most: usize) -> Result<Search<'_>, NodeError> {
+impl ShiftSearch<'_> {
+    fn new(recorded: &AlignmentInputs, most: usize) -> Result<ShiftSearch<'_>, NodeError> {
         let (frames, period) = recorded.pairs(most);
-        let of = |frame: usize| -> Result<(Pair, Image), NodeError> {
+        let of = |frame: usize| -> Result<(FramePair, Image), NodeError> {
             let ((before, full), (mut after, also)) = (recorded.log(frame)?, recorded.log(frame + 1)?);
             let both = before.values.iter().zip(&after.values);
             let light = both.map(|(before, after)| libm::expf(0.5 * (before + after))).collect();
             after.values.iter_mut().zip(before.values).for_each(|(after, before)| *after -= before);
             let saturated = full.into_iter().zip(also).map(|(full, also)| full || also).collect();
-            Ok((Pair { frame, light, saturated }, after))
+            Ok((FramePair { frame, light, saturated }, after))
         };
         let all: Vec<_> = frames.into_par_iter().map(of).collect::<Result<_, _>>()?;
-        let (pairs, changes): (Vec<Pair>, Vec<Image>) = all.into_iter().unzip();
+        let (pairs, changes): (Vec<FramePair>, Vec<Image>) = all.into_iter().unzip();
         let mut moving: Vec<f32> = Vec::new();
         for (pair, change) in pairs.iter().zip(&changes) {
             let changing =
@@ -272,23 +276,23 @@ impl Search<'_> {
         }
         moving.sort_unstable_by(f32::total_cmp);
         let usual = moving.get(moving.len() / 2).copied().unwrap_or(1.0);
-        Ok(Search { recorded, pairs, changes, usual, period })
+        Ok(ShiftSearch { recorded, pairs, changes, usual, period })
     }
 
-    /// Samples for events that are so late, at most so many.
-    fn samples(&self, late_ns: f64, most: usize) -> Vec<Sample> {
+    /// At most `most` samples for events with a delay `late_ns`.
+    fn samples(&self, late_ns: f64, most: usize) -> Vec<ShiftSample> {
         // Of a large array, pixels are left out before it is known how many change.
         let pixels = self.pairs.len() * self.recorded.alignment.events.pixels();
         let every = pixels.div_ceil(FEW_CHANGE * most).max(1);
         let of = |n| self.samples_of(n, late_ns, every);
-        let all: Vec<Vec<Sample>> = (0..self.pairs.len()).into_par_iter().map(of).collect();
+        let all: Vec<Vec<ShiftSample>> = (0..self.pairs.len()).into_par_iter().map(of).collect();
         let all = all.concat();
         let every = all.len().div_ceil(most).max(1);
         all.into_iter().step_by(every).collect()
     }
 
     /// The pixels of the array, one of `every`, that change between the frames of a pair.
-    fn samples_of(&self, number: usize, late_ns: f64, every: usize) -> Vec<Sample> {
+    fn samples_of(&self, number: usize, late_ns: f64, every: usize) -> Vec<ShiftSample> {
         let (pair, change, alignment) =
             (&self.pairs[number], &self.changes[number], &self.recorded.alignment);
         let reach = RATE * self.period as f64;
@@ -303,7 +307,7 @@ impl Search<'_> {
             let seen = row * frames.width as usize + column;
             let (change, ..) = change.sample(f64::from(place.0), f64::from(place.1))?;
             let is_active = count[pixel].abs() > FEWEST_EVENTS || change.abs() as f32 > LEAST_CHANGE;
-            (is_active && !pair.saturated[seen]).then(|| Sample {
+            (is_active && !pair.saturated[seen]).then(|| ShiftSample {
                 pair: number as u32,
                 part: (y * PARTS / height * PARTS + x * PARTS / width) as u16,
                 place,
@@ -316,12 +320,12 @@ impl Search<'_> {
         (number % every..extent.pixels()).step_by(every).filter_map(of).collect()
     }
 
-    fn compared<T>(&self, late_ns: f64, most: usize, of: impl FnOnce(&Compared<'_>) -> T) -> T {
-        of(&Compared { changes: &self.changes, samples: &self.samples(late_ns, most) })
+    fn compared<T>(&self, late_ns: f64, most: usize, of: impl FnOnce(&ChangesAndEvents<'_>) -> T) -> T {
+        of(&ChangesAndEvents { changes: &self.changes, samples: &self.samples(late_ns, most) })
     }
 
-    /// How late events are, to an eighth of a period.
-    fn late_ns(&self) -> f64 {
+    /// Delay of the events, ns, to an eighth of a period.
+    fn coarse_delay_ns(&self) -> f64 {
         let step = self.period as f64 / f64::from(2 * LATE);
         let agreement = |n: i32| {
             let late_ns = f64::from(n) * step;
@@ -333,27 +337,32 @@ impl Search<'_> {
 }
 
 /// The shift of a form; none where too little changes.
-fn shifted(search: &Search<'_>, start_ns: f64, form: Form) -> Option<Misalignment> {
+fn shifted(search: &ShiftSearch<'_>, start_ns: f64, form: ShiftForm) -> Option<Misalignment> {
     let first = search.compared(start_ns, SAMPLES, |compared| compared.misalignment(form))?;
     // Once more with the lateness of the first time, as counts are taken linear in it.
     let late_ns = start_ns + search.period as f64 * first.late.iter().map(|late| late.value).sum::<f64>();
     search.compared(late_ns, SAMPLES, |compared| compared.misalignment(form))
 }
 
-/// The shift of the form that predicts frames that are held out best: with whether that is better by far
-/// than none. None where too little changes.
-fn judged(recorded: &Recorded, params: &Params) -> Result<Option<(Misalignment, bool)>, NodeError> {
-    let search = Search::new(recorded, params.pairs)?;
-    let start_ns = params.offset.map_or_else(|| search.late_ns(), |offset| offset.ns() as f64);
-    let forms = [Form::Constant, Form::Affine].into_iter();
+/// The shift of the form that predicts held-out frames best, and whether it is better by far than none;
+/// `None` where too little changes.
+fn held_out_shift(
+    recorded: &AlignmentInputs,
+    params: &Params,
+) -> Result<Option<(Misalignment, bool)>, NodeError> {
+    let search = ShiftSearch::new(recorded, params.pairs)?;
+    let start_ns = params.offset.map_or_else(|| search.coarse_delay_ns(), |offset| offset.ns() as f64);
+    let forms = [ShiftForm::Constant, ShiftForm::Affine].into_iter();
     let mut shifts: Vec<Misalignment> = forms.filter_map(|form| shifted(&search, start_ns, form)).collect();
-    let Some(run) = held_out::run(&recorded.stream, &recorded.frames.meta.times, recorded.offset_ns)? else {
+    let Some(run) =
+        held_out::busiest_frames(&recorded.stream, &recorded.frames.meta.times, recorded.offset_ns)?
+    else {
         return Ok((!shifts.is_empty()).then(|| (shifts.swap_remove(0), false)));
     };
     let frames = recorded.frames.select(run.collect());
     let sequences: Vec<FrameSequence> = std::iter::once(None)
         .chain(shifts.iter().map(Some))
-        .map(|found| recorded.seen(&frames, &moved(&recorded.alignment, found)))
+        .map(|found| recorded.frames_on_event_pixels(&frames, &shifted_alignment(&recorded.alignment, found)))
         .collect::<Result<_, NodeError>>()?;
     let Some(losses) = held_out::compared(&recorded.stream, &sequences, recorded.offset_ns)? else {
         return Ok((!shifts.is_empty()).then(|| (shifts.swap_remove(0), false)));
@@ -370,7 +379,8 @@ fn judged(recorded: &Recorded, params: &Params) -> Result<Option<(Misalignment, 
 impl Node for EstimateAlignment {
     const DECL: Decl = Decl {
         kind: "estimate/alignment",
-        about: "How far an alignment of events and frames misses, to a fraction of a pixel, and one without.",
+        about: "Estimates the error of an alignment of events and frames to a fraction of a pixel, and \
+                corrects it.",
         revision: 3,
         grain: Grain::Whole,
         draws: false,
@@ -412,13 +422,13 @@ in   = { events = "array.events", frames = "array.frames", sensor = "recording.s
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         cx.begin(input.frames.len() as u64, "frames");
-        let recorded = Recorded::new(&input, cx)?;
-        let found = judged(&recorded, &self.params)?;
+        let recorded = AlignmentInputs::new(&input, cx)?;
+        let found = held_out_shift(&recorded, &self.params)?;
         cx.note(note(found.as_ref()));
         let of = |axis: usize| found.as_ref().map(|(found, _)| found.shift[axis]);
-        let rows = [Row::new("shift_x", of(0), "px", 1.0), Row::new("shift_y", of(1), "px", 1.0)];
+        let rows = [TableRow::new("shift_x", of(0), "px", 1.0), TableRow::new("shift_y", of(1), "px", 1.0)];
         let better = found.as_ref().filter(|(_, is_better)| *is_better).map(|(found, _)| found);
-        let alignment = moved(&recorded.alignment, better);
+        let alignment = shifted_alignment(&recorded.alignment, better);
         let block = frames_on_array(&input.frames, &alignment, &recorded.meta, &|| cx.advance(1))?;
         let frames = FrameSequence::in_memory(Arc::new(recorded.meta), block);
         let estimates = Arc::new(table(&rows));
@@ -439,8 +449,8 @@ fn planned(
     plan_of(pixels, events, frames, array.unwrap_or(events.extent))
 }
 
-/// An alignment with its shift.
-fn moved(alignment: &Alignment, found: Option<&Misalignment>) -> Alignment {
+/// The alignment with its shift applied.
+fn shifted_alignment(alignment: &Alignment, found: Option<&Misalignment>) -> Alignment {
     let mut moved = alignment.clone();
     let extent = alignment.events;
     let along = |at: usize, count: u32| (2 * at + 1) as f64 / f64::from(count) - 1.0;
@@ -453,7 +463,7 @@ fn moved(alignment: &Alignment, found: Option<&Misalignment>) -> Alignment {
     moved
 }
 
-/// What was found, for people.
+/// The result as a note.
 fn note(found: Option<&(Misalignment, bool)>) -> String {
     let Some((found, is_better)) = found else {
         return "too little changes between frames to compare their places; the alignment stays".to_owned();

@@ -1,15 +1,14 @@
 //! `estimate/exposure`: the length of the exposure that blurred the frames.
 //!
-//! Events say how the light went while a frame was exposed. The length at which the mean over the exposure
-//! explains the frames best is proposed.
+//! Events measure the change of light during an exposure. The length is proposed at which the mean over the
+//! exposure explains the frames best.
 //!
-//! Limits: it needs light that bends within an exposure, fast motion in bright places, and stamps at the
-//! middle of the exposure. Where no length explains the frames much better than the others the note says why,
-//! and nothing is proposed: noise of events looks like blur. Thresholds of 0.7 to 1.6 times those that are
-//! given are tried with each length, as blurred frames make them look small; the interval holds that of the
-//! offset.
+//! Limits: it needs light whose slope changes within an exposure, fast motion in bright places, and stamps at
+//! the middle of the exposure. Where no length is clearly better the note gives the reason, and nothing is
+//! proposed: event noise looks like blur. Thresholds of 0.7 to 1.6 times the input ones are tested with each
+//! length, as blurred frames make them look small; the interval includes that of the offset.
 
-use super::{Estimate, In, Row, Settings, table};
+use super::{Estimate, In, PanelSettings, TableRow, table};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Table};
 use photocurrent_sensor::estimate::{self, Unclear};
@@ -21,8 +20,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over
-    /// it.
+    /// Most frames that are evaluated: all of a short recording, otherwise runs of neighbours spread over it.
     #[schemars(range(min = 2, max = 512))]
     pub frames: usize,
     /// How late events are against frames; absent = estimated as estimate/offset does.
@@ -39,7 +37,7 @@ impl Default for Params {
 }
 
 photocurrent_core::ports! {
-    /// What was found.
+    /// The results.
     pub struct Out {
         /// `exposure`, ms.
         estimates: Arc<Table>,
@@ -47,7 +45,7 @@ photocurrent_core::ports! {
 }
 
 /// The length of the exposure, or why it is not clear, for people.
-pub(super) fn of(
+pub(super) fn exposure_length(
     panel: &estimate::Panel,
     thresholds: Option<(f64, f64)>,
     late_ns: &Estimate,
@@ -63,8 +61,8 @@ pub(super) fn of(
             100.0 * from_shortest,
             100.0 * from_longest
         ),
-        Unclear::AtAnEnd => "the best length goes to an end within what is known of the thresholds and of \
-                             how late events are"
+        Unclear::AtAnEnd => "the best length is at an end of its range for some thresholds or delays within \
+                             their intervals"
             .into(),
     })
 }
@@ -77,7 +75,7 @@ pub struct EstimateExposure {
 impl Node for EstimateExposure {
     const DECL: Decl = Decl {
         kind: "estimate/exposure",
-        about: "Length of the exposure, from how frames are blurred where events say how the light went.",
+        about: "Estimates the length of the exposure from the blur of frames and the events within it.",
         revision: 2,
         grain: Grain::Whole,
         draws: false,
@@ -106,11 +104,12 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let settings = Settings { frames: self.params.frames, ..Settings::default() };
+        let settings = PanelSettings { frames: self.params.frames, ..PanelSettings::default() };
         let panel = input.panel(&settings)?;
-        let stated = self.params.offset.map(|offset| super::exactly(offset.ns() as f64));
-        let late =
-            stated.or_else(|| estimate::offset(&panel).map(|shift| shift.ns)).unwrap_or(super::exactly(0.0));
+        let stated = self.params.offset.map(|offset| super::stated_estimate(offset.ns() as f64));
+        let late = stated
+            .or_else(|| estimate::offset(&panel).map(|shift| shift.ns))
+            .unwrap_or(super::stated_estimate(0.0));
         let described = input
             .sensor
             .as_deref()
@@ -119,7 +118,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let thresholds = given.or_else(|| {
             estimate::thresholds(&panel, late.value).map(|found| (found.on.value, found.off.value))
         });
-        let found = of(&panel, thresholds, &late);
+        let found = exposure_length(&panel, thresholds, &late);
         match (&found, thresholds) {
             (Err(why), _) => cx.note(why.clone()),
             (Ok(_), Some((on, off))) => cx.note(format!(
@@ -129,6 +128,6 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
             (Ok(_), None) => {}
         }
         let found = found.ok();
-        Ok(Out { estimates: Arc::new(table(&[Row::new("exposure", found, "ms", 1e6)])) })
+        Ok(Out { estimates: Arc::new(table(&[TableRow::new("exposure", found, "ms", 1e6)])) })
     }
 }

@@ -1,16 +1,16 @@
-//! What a file does not say and its own events and frames do: proposals with an interval, for a description
-//! or a reader that lacks a value.
+//! Estimates values that a file lacks from its own events and frames: proposals with an interval, for a
+//! description or a reader.
 //!
-//! - [`offset`]: how late events are against frames, and whether the clocks drift apart.
+//! - [`offset`]: delay of events after frames, and drift between the clocks.
 //! - [`row_time`]: the delay from row to row.
 //! - [`thresholds`]: the log change of an ON and of an OFF event.
-//! - [`held_out`]: the same by frames that are held out, for `photocurrent init`.
+//! - [`held_out`]: the same by held-out frames, for `photocurrent init`.
 //! - [`exposure`]: the length of the exposure that blurred the frames.
-//! - [`alignment`]: how far places of the event pixels on the frames miss.
+//! - [`alignment`]: errors of the event pixels' places on the frames.
 //!
-//! All look at some frames and at the busiest pixels of every band of rows ([`panel()`]) and call one
-//! function of [`photocurrent_sensor::estimate`]. A value that the scene does not show is "not measured" in
-//! the table, never a guess.
+//! All evaluate some frames and the busiest pixels of every band of rows ([`panel()`]) and call one function
+//! of [`photocurrent_sensor::estimate`]. A value that the scene does not determine is "not measured" in the
+//! table, never a guess.
 
 pub mod alignment;
 pub mod exposure;
@@ -23,7 +23,7 @@ pub mod thresholds;
 #[cfg(test)]
 mod tests;
 
-pub use panel::{Settings, panel};
+pub use panel::{PanelSettings, panel};
 
 use crate::spans::check_one_clock;
 use photocurrent_core::table::{Column, TableMeta};
@@ -41,12 +41,12 @@ photocurrent_core::ports! {
         events: EventStream,
         /// The frames as captured, of the events' pixels or a whole multiple.
         frames: FrameSequence,
-        /// What is known of the sensor: black level and saturation are used where they are stated.
+        /// The description: black level and saturation are used where they are stated.
         sensor: Option<Arc<Sensor>>,
     }
 }
 
-/// Parameters of what needs nothing else.
+/// Parameters of estimates without further ones.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
@@ -62,10 +62,10 @@ impl Default for Params {
     }
 }
 
-/// What events and frames together say of a sensor, for a description that has to begin somewhere.
+/// Estimates of a sensor from events and frames, for a first description.
 #[derive(Clone, Debug, Default)]
-pub struct Proposals {
-    /// How late events are against frames, ns; none where nothing clearly moves.
+pub struct SensorEstimates {
+    /// Delay of events after frames, ns; `None` where nothing clearly moves.
     pub offset_ns: Option<Estimate>,
     /// Contrast thresholds, natural-log units.
     pub thresholds: Option<(Estimate, Estimate)>,
@@ -80,7 +80,7 @@ pub struct Proposals {
 
 impl In {
     /// The frames that are evaluated, and the events between them.
-    fn panel(&self, settings: &Settings) -> Result<estimate::Panel, NodeError> {
+    fn panel(&self, settings: &PanelSettings) -> Result<estimate::Panel, NodeError> {
         panel(&self.events, &self.frames, self.sensor.as_deref(), settings)
     }
 }
@@ -94,44 +94,48 @@ pub fn proposals(
     events: &EventStream,
     frames: &FrameSequence,
     anchor: Option<f64>,
-) -> Result<Proposals, NodeError> {
-    let panel = panel(events, frames, None, &Settings { by_row: true, ..Settings::default() })?;
+) -> Result<SensorEstimates, NodeError> {
+    let panel = panel(events, frames, None, &PanelSettings { by_row: true, ..PanelSettings::default() })?;
     let offset_ns = estimate::offset(&panel).map(|shift| shift.ns);
-    let late = offset_ns.unwrap_or(exactly(0.0));
+    let late = offset_ns.unwrap_or(stated_estimate(0.0));
     let thresholds = estimate::thresholds(&panel, late.value).map(|steps| (steps.on, steps.off));
-    let exposure = exposure::of(&panel, thresholds.map(|(on, off)| (on.value, off.value)), &late);
+    let exposure =
+        exposure::exposure_length(&panel, thresholds.map(|(on, off)| (on.value, off.value)), &late);
     let exposure_unclear = exposure.as_ref().err().cloned();
     let given = thresholds.map(|(on, off)| (on.value, off.value)).filter(|(on, off)| on.min(*off) > 0.0);
     let length_ns = anchor.and(exposure.as_ref().ok()).map(|exposure| exposure.value as i64);
-    let given =
-        held_out::Given { late_ns: offset_ns.map(|late| late.value), thresholds: given, anchor, length_ns };
+    let given = held_out::KnownTimes {
+        late_ns: offset_ns.map(|late| late.value),
+        thresholds: given,
+        anchor,
+        length_ns,
+    };
     let held_out = held_out::chosen(events, frames, &given)?;
-    Ok(Proposals { offset_ns, thresholds, held_out, exposure_ns: exposure.ok(), exposure_unclear })
+    Ok(SensorEstimates { offset_ns, thresholds, held_out, exposure_ns: exposure.ok(), exposure_unclear })
 }
 
-/// A value that is stated.
-fn exactly(value: f64) -> Estimate {
+/// A stated value, without an interval.
+fn stated_estimate(value: f64) -> Estimate {
     Estimate { value, ci95: (value, value) }
 }
 
-/// One row of the table: what it is called, value with interval, its unit, and what one is in the estimate's
-/// own.
-struct Row {
+/// One row of the table: name, value with interval, its unit, and that unit in the estimate's own.
+struct TableRow {
     name: &'static str,
     found: Option<Estimate>,
     unit: &'static str,
     scale: f64,
 }
 
-impl Row {
+impl TableRow {
     /// `scale` of the estimate's own unit make one of `unit`.
-    fn new(name: &'static str, found: Option<Estimate>, unit: &'static str, scale: f64) -> Row {
-        Row { name, found, unit, scale }
+    fn new(name: &'static str, found: Option<Estimate>, unit: &'static str, scale: f64) -> TableRow {
+        TableRow { name, found, unit, scale }
     }
 }
 
-/// Values with their intervals; what was not measured is NaN.
-fn table(rows: &[Row]) -> Table {
+/// Values with their intervals; NaN where not measured.
+fn table(rows: &[TableRow]) -> Table {
     let numbers = |of: fn(&Estimate) -> f64| {
         Column::Numbers(
             rows.iter()

@@ -1,24 +1,23 @@
-//! `estimate/offset`: how late events are against the frames, and whether the two clocks drift apart.
+//! `estimate/offset`: the delay of events after frames, and the drift between the two clocks.
 //!
-//! Frames' log change from mid-exposure to mid-exposure, and the events between, are held against each other
-//! at shifts of up to a frame period. Rows are compared at their own exposure, and the delay of a front end
-//! that the description states (`front_end.alpha`, with `frames.gain`) is subtracted by light. The shift
-//! holds everything else that delays events: the latency of the readout, a front end that is not stated, and
-//! an offset of the clocks.
+//! The log change of frames between mid-exposures is compared with the events between them, at shifts of up
+//! to a frame period. Rows are compared at their own exposure. The delay of a front end that the description
+//! states (`front_end.alpha`, with `frames.gain`) is subtracted by light. The shift contains every other
+//! delay of events: readout latency, an unstated front end, and a clock offset.
 //!
-//! Limits: nothing where nothing moves; a scene that repeats within a frame period has several shifts.
+//! Limits: no estimate where nothing moves; a scene that repeats within a frame period has several shifts.
 
 pub use super::Params;
-use super::{In, Row, Settings, table};
+use super::{In, PanelSettings, TableRow, table};
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Table};
 use photocurrent_sensor::estimate;
 use std::sync::Arc;
 
 photocurrent_core::ports! {
-    /// What was found.
+    /// The results.
     pub struct Out {
-        /// `offset`, ms: events are stamped so much later than frames saw the same, over what a stated front
-        /// end explains; `drift`, us a second.
+        /// `offset`, ms: delay of events after frames, beyond that of a stated front end; `drift`, us per
+        /// second.
         estimates: Arc<Table>,
     }
 }
@@ -31,7 +30,7 @@ pub struct EstimateOffset {
 impl Node for EstimateOffset {
     const DECL: Decl = Decl {
         kind: "estimate/offset",
-        about: "How late events are against frames, and how fast the clocks drift apart, with intervals.",
+        about: "Delay of events after frames, and drift between the clocks, with intervals.",
         revision: 2,
         grain: Grain::Whole,
         draws: false,
@@ -62,8 +61,12 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let settings =
-            Settings { frames: self.params.frames, by_row: true, by_front_end: true, ..Settings::default() };
+        let settings = PanelSettings {
+            frames: self.params.frames,
+            by_row: true,
+            by_front_end: true,
+            ..PanelSettings::default()
+        };
         let panel = input.panel(&settings)?;
         let shift = estimate::offset(&panel);
         let drift = estimate::drift(&panel);
@@ -78,8 +81,8 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
             ),
         }
         let rows = [
-            Row::new("offset", shift.map(|shift| shift.ns), "ms", 1e6),
-            Row::new("drift", drift.map(|drift| drift.ns_per_s), "us/s", 1e3),
+            TableRow::new("offset", shift.map(|shift| shift.ns), "ms", 1e6),
+            TableRow::new("drift", drift.map(|drift| drift.ns_per_s), "us/s", 1e3),
         ];
         Ok(Out { estimates: Arc::new(table(&rows)) })
     }

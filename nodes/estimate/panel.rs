@@ -1,7 +1,7 @@
-//! Events and frames of the busiest pixels, as the estimates take them.
+//! Events and frames of the busiest pixels, the input of the estimates.
 //!
-//! The picture is cut into bands of rows, and of each the pixels with most events are taken, less the very
-//! busiest, which may be hot. Of a long recording, runs of neighbouring frames spread over it.
+//! The picture is cut into bands of rows, and the pixels with most events are selected in each, without the
+//! very busiest, which may be hot. A long recording is sampled by runs of neighbouring frames spread over it.
 
 use photocurrent_core::{
     DataType, EventStream, EventsMeta, FrameSequence, FramesMeta, NodeError, Rows, Sensor,
@@ -10,9 +10,9 @@ use photocurrent_formats::survey::pictures::chosen;
 use photocurrent_sensor::estimate::{Centring, Delay, NOWHERE, Panel, Stretch};
 use photocurrent_sensor::front_end::FrontEnd;
 
-/// How much is looked at.
+/// Numbers of frames and pixels that are evaluated.
 #[derive(Clone, Copy, Debug)]
-pub struct Settings {
+pub struct PanelSettings {
     /// Frames, at most.
     pub frames: usize,
     /// Pixels, at most.
@@ -25,20 +25,20 @@ pub struct Settings {
     pub by_front_end: bool,
 }
 
-impl Default for Settings {
-    fn default() -> Settings {
-        Settings { frames: 48, pixels: 4096, steps: 32, by_row: false, by_front_end: false }
+impl Default for PanelSettings {
+    fn default() -> PanelSettings {
+        PanelSettings { frames: 48, pixels: 4096, steps: 32, by_row: false, by_front_end: false }
     }
 }
 
 /// Bands of rows.
 const BANDS: u32 = 16;
-/// Frames further apart, in usual periods, are no neighbours: steps are laid over the time between
-/// neighbours, and a pause has none to count.
+/// Largest distance of neighbouring frames, in usual periods: changes are measured between neighbours, and a
+/// pause has none.
 const GAP: i64 = 4;
-/// One of so many pixels of a band is too busy to be trusted.
+/// Share of a band's busiest pixels, one in this many, that are excluded as possibly hot.
 const HOT: usize = 200;
-/// A step of an eight-bit scale, as part of the largest value: what is darker counts as so dark.
+/// A step of an eight-bit scale, as a share of the largest value: darker values count as this.
 const DARK: f32 = 0.5 / 255.0;
 
 /// No event is put earlier for its front end by more than this part of a frame period: in darkness no time is
@@ -70,20 +70,20 @@ pub fn panel(
     events: &EventStream,
     frames: &FrameSequence,
     sensor: Option<&Sensor>,
-    settings: &Settings,
+    settings: &PanelSettings,
 ) -> Result<Panel, NodeError> {
     let times = fits(&events.meta, &frames.meta)?;
     let extent = events.meta.extent;
     let width = extent.width as usize;
     let bands = extent.rows().bands(extent.height.div_ceil(BANDS).max(1));
-    let place_of = busiest(events, &bands, settings)?;
+    let place_of = busiest_pixels(events, &bands, settings)?;
     let mut panel = Panel::new(&place_of, extent.width, extent.height);
     let all: Vec<i64> = (0..frames.len()).map(|frame| frames.meta.times.exposure(frame, 0).mid().0).collect();
     let mut periods: Vec<i64> =
         all.windows(2).map(|pair| pair[1] - pair[0]).filter(|period| *period > 0).collect();
     periods.sort_unstable();
     let Some(period) = periods.get(periods.len() / 2).copied() else { return Ok(panel) };
-    let runs = runs(&chosen(frames.len(), settings.frames), &all, period);
+    let runs = neighbour_runs(&chosen(frames.len(), settings.frames), &all, period);
     for run in &runs {
         let mids = run.iter().map(|frame| all[*frame]).collect();
         panel.stretches.push(Stretch::new(
@@ -139,7 +139,7 @@ pub fn panel(
 }
 
 /// Frames that are read, as runs of neighbours in order of time.
-fn runs(read: &[usize], all: &[i64], period: i64) -> Vec<Vec<usize>> {
+fn neighbour_runs(read: &[usize], all: &[i64], period: i64) -> Vec<Vec<usize>> {
     let mut runs: Vec<Vec<usize>> = Vec::new();
     for &frame in read {
         match runs.last_mut() {
@@ -156,7 +156,7 @@ fn runs(read: &[usize], all: &[i64], period: i64) -> Vec<Vec<usize>> {
     runs
 }
 
-/// What the stated front end delays, where it and what its photocurrent is counted in are stated.
+/// Delay by the stated front end, where it and the unit of its photocurrent are stated.
 fn delay(sensor: Option<&Sensor>, exposure_ns: f64, most_ns: f64) -> Option<Delay> {
     let sensor = sensor?;
     let (alpha, gain) = sensor.front_end.alpha.zip(sensor.frames.gain)?;
@@ -165,7 +165,11 @@ fn delay(sensor: Option<&Sensor>, exposure_ns: f64, most_ns: f64) -> Option<Dela
 }
 
 /// Numbers the pixels with most events of each band of rows.
-fn busiest(events: &EventStream, bands: &[Rows], settings: &Settings) -> Result<Vec<u32>, NodeError> {
+fn busiest_pixels(
+    events: &EventStream,
+    bands: &[Rows],
+    settings: &PanelSettings,
+) -> Result<Vec<u32>, NodeError> {
     let extent = events.meta.extent;
     let mut place_of = vec![NOWHERE; extent.pixels()];
     let (a_band, mut next) = ((settings.pixels / bands.len().max(1)).max(1), 0);

@@ -1,18 +1,18 @@
 //! `estimate/row_time`: the delay from one row of the frames to the next.
 //!
-//! The shift at which events and frames agree, by bands of rows, over rows. A row time that frames are read
-//! with is not used: their middles are those of row 0.
+//! It is the slope over rows of the shift at which events and frames agree, estimated by bands of rows. A row
+//! time in the frames' metadata is not used: their mid-exposures are those of row 0.
 //!
 //! Limits: it needs motion in many rows; a scene that repeats within a frame period has several shifts.
 
 pub use super::Params;
-use super::{In, Row, Settings, table};
+use super::{In, PanelSettings, TableRow, table};
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Table};
 use photocurrent_sensor::estimate;
 use std::sync::Arc;
 
 photocurrent_core::ports! {
-    /// What was found.
+    /// The results.
     pub struct Out {
         /// `row_time`, us: positive when lower rows are exposed later.
         estimates: Arc<Table>,
@@ -56,12 +56,13 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let settings = Settings { frames: self.params.frames, by_front_end: true, ..Settings::default() };
+        let settings =
+            PanelSettings { frames: self.params.frames, by_front_end: true, ..PanelSettings::default() };
         let panel = input.panel(&settings)?;
         let found = estimate::row_time(&panel);
         if found.is_none() {
             cx.note("too few bands of rows show a shift: nothing moves there");
         }
-        Ok(Out { estimates: Arc::new(table(&[Row::new("row_time", found, "us", 1e3)])) })
+        Ok(Out { estimates: Arc::new(table(&[TableRow::new("row_time", found, "us", 1e3)])) })
     }
 }

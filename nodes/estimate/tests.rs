@@ -69,7 +69,7 @@ fn metas(events: &EventStream, frames: &FrameSequence) -> PortMetas {
 }
 
 /// Rows by quantity: value, low, high, unit.
-type Found = BTreeMap<String, (f64, f64, f64, String)>;
+type TableValues = BTreeMap<String, (f64, f64, f64, String)>;
 
 /// What a node gives of streams, and its notes.
 fn run<N: Node<In = In>>(
@@ -77,7 +77,7 @@ fn run<N: Node<In = In>>(
     events: &EventStream,
     frames: &FrameSequence,
     table: impl Fn(N::Out) -> Arc<Table>,
-) -> (Found, Vec<String>) {
+) -> (TableValues, Vec<String>) {
     assert_eq!(
         node.plan(&metas(events, frames)).unwrap()[0],
         Meta::Table(Arc::new(TableMeta { scores: false }))
@@ -192,7 +192,7 @@ fn a_stated_offset_is_used_and_not_estimated() {
 }
 
 #[test]
-fn what_a_scene_does_not_show_is_not_a_number_and_the_note_says_why() {
+fn a_value_that_the_scene_does_not_determine_is_nan_with_a_note() {
     let (events, frames) = recording(0.0, 0, 0.0);
     let (found, notes) =
         run(&offset::EstimateOffset::build(offset::Params::default()).unwrap(), &events, &frames, |out| {
@@ -255,8 +255,8 @@ fn streams_that_do_not_fit_are_refused_while_planning() {
     );
 }
 
-fn given(late_ns: f64, thresholds: Option<(f64, f64)>) -> held_out::Given {
-    held_out::Given { late_ns: Some(late_ns), thresholds, ..held_out::Given::default() }
+fn known_times(late_ns: f64, thresholds: Option<(f64, f64)>) -> held_out::KnownTimes {
+    held_out::KnownTimes { late_ns: Some(late_ns), thresholds, ..held_out::KnownTimes::default() }
 }
 
 #[test]
@@ -271,21 +271,24 @@ fn frames_that_are_held_out_choose_the_thresholds() {
         );
     };
     // A pair that is far off is clearly worse; a blend too.
-    let found = held_out::chosen(&events, &frames, &given(3e6, Some((0.4, 0.4)))).unwrap().unwrap();
+    let found = held_out::chosen(&events, &frames, &known_times(3e6, Some((0.4, 0.4)))).unwrap().unwrap();
     near(&found);
     assert!(found.given.is_some_and(|error| error > 2.0 * found.error), "{found:?}");
     assert!(!found.blend.1 && found.blend.0 > 2.0 * found.error, "{found:?}");
     // Of five frames each of the three between is held out in turn.
-    let few =
-        held_out::chosen(&events, &frames.select((0..5).collect()), &given(3e6, None)).unwrap().unwrap();
+    let few = held_out::chosen(&events, &frames.select((0..5).collect()), &known_times(3e6, None))
+        .unwrap()
+        .unwrap();
     near(&few);
     assert!(few.given.is_none());
     // Three cannot be judged, and neither can what does not move.
     assert!(
-        held_out::chosen(&events, &frames.select((0..3).collect()), &given(3e6, None)).unwrap().is_none()
+        held_out::chosen(&events, &frames.select((0..3).collect()), &known_times(3e6, None))
+            .unwrap()
+            .is_none()
     );
     let (still, frames) = recording(0.0, 0, 0.0);
-    assert!(held_out::chosen(&still, &frames, &given(0.0, None)).unwrap().is_none());
+    assert!(held_out::chosen(&still, &frames, &known_times(0.0, None)).unwrap().is_none());
 }
 
 #[test]
@@ -293,12 +296,12 @@ fn events_of_another_scene_are_worse_than_a_blend() {
     let (_, frames) = recording(40.0, 0, 0.0);
     // What moves the other way, and faster.
     let (others, _) = recording(-400.0, 0, 0.0);
-    let found = held_out::chosen(&others, &frames, &given(0.0, None)).unwrap().unwrap();
+    let found = held_out::chosen(&others, &frames, &known_times(0.0, None)).unwrap().unwrap();
     assert!(found.blend.1 && found.blend.0 < found.error, "{found:?}");
 }
 
 /// Waves that turn around the middle of the array: light moves every way.
-fn turning(x: f64, y: f64, t_ns: i64) -> f64 {
+fn rotating_waves(x: f64, y: f64, t_ns: i64) -> f64 {
     let (sine, cosine) = libm::sincos(9.0 * t_ns as f64 * 1e-9);
     let (x, y) = (x - 19.5, y - 15.5);
     log_light(0.0, cosine * x + sine * y, cosine * y - sine * x, 0)
@@ -324,7 +327,7 @@ fn aligned(events: &EventStream, frames: &FrameSequence) -> (Vec<(f32, f32)>, Ve
 
 #[test]
 fn a_shift_of_a_fraction_of_a_pixel_is_found_and_applied() {
-    let (events, frames) = recorded(turning, 2_000_000, 0.0, (1.3, -0.6));
+    let (events, frames) = recorded(rotating_waves, 2_000_000, 0.0, (1.3, -0.6));
     let (off, values, note) = aligned(&events, &frames);
     assert!((values[0] - 1.3).abs() < 0.15 && (values[1] + 0.6).abs() < 0.15, "{values:?} {note}");
     assert!(note.contains("places moved:"), "{note}");
@@ -333,7 +336,7 @@ fn a_shift_of_a_fraction_of_a_pixel_is_found_and_applied() {
 
 #[test]
 fn an_alignment_that_is_right_or_that_nothing_shows_stays() {
-    for (events, frames) in [recorded(turning, 2_000_000, 0.0, (0.0, 0.0)), recording(0.0, 0, 0.0)] {
+    for (events, frames) in [recorded(rotating_waves, 2_000_000, 0.0, (0.0, 0.0)), recording(0.0, 0, 0.0)] {
         let (off, values, note) = aligned(&events, &frames);
         assert!(off.iter().all(|off| *off == (0.0, 0.0)), "{values:?} {note}");
         assert!(note.contains("stays"), "{note}");
@@ -342,7 +345,7 @@ fn an_alignment_that_is_right_or_that_nothing_shows_stays() {
 
 #[test]
 fn frames_that_are_held_out_choose_offset_and_exposure() {
-    // Exposed for 9 ms around the middle, stated as 1 ms; events 4 ms late, which nobody knows.
+    // Exposed for 9 ms around the middle, stated as 1 ms; events 4 ms late, which is not stated.
     let (speed, late_ns, length_ns) = (500.0, 4_000_000, 9_000_000);
     let (events, sharp) = recording(speed, late_ns, 0.0);
     let mids: Vec<i64> = sharp.meta.times.exposures.iter().map(|exposure| exposure.mid().0).collect();
@@ -352,7 +355,7 @@ fn frames_that_are_held_out_choose_offset_and_exposure() {
         let light = |n: i64| libm::exp(log_light(speed, f64::from(x), f64::from(y), at(n)));
         (300.0 * (0..18).map(light).sum::<f64>() / 18.0) as f32
     });
-    let given = held_out::Given { anchor: Some(0.5), ..held_out::Given::default() };
+    let given = held_out::KnownTimes { anchor: Some(0.5), ..held_out::KnownTimes::default() };
     let found = held_out::chosen(&events, &frames, &given).unwrap().unwrap();
     let late = found.late_ns.expect("clearly better");
     assert!((late.value - late_ns as f64).abs() < 2e6, "{found:?}");

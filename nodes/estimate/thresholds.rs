@@ -1,22 +1,21 @@
 //! `estimate/thresholds`: the log change of an ON and of an OFF event.
 //!
-//! Between two frames a pixel's logarithm changes by the ON threshold for each ON event, and back by the
-//! other for each OFF one. A robust fit of the events of the busiest pixels on the change of the frames gives
-//! both, from bright pixels alone: in dark ones a step of the scale is a large change, and slow pixels lose
-//! events.
+//! Between two frames the log light of a pixel rises by the ON threshold per ON event and falls by the OFF
+//! threshold per OFF event. Both are fitted robustly to the change of the frames over the busiest pixels,
+//! bright ones alone: in dark ones a step of the scale is a large change, and slow pixels lose events.
 //!
-//! Where a description states thresholds and what a solver needs, they are also judged by frames that are
-//! held out ([`evidence`]): the description is passed on with other thresholds when those predict the frames
-//! clearly better, and else as it was.
+//! Where a description states thresholds and the values that a solver needs, they are also evaluated by
+//! held-out frames ([`evidence`]). The description is passed on with other thresholds where those predict the
+//! frames clearly better, and unchanged otherwise.
 //!
-//! Limits: frames that are not linear give thresholds of their curve; the fit takes the front end as ideal.
+//! Limits: nonlinear frames give the thresholds of their curve; the fit assumes an ideal front end.
 
 mod evidence;
 #[cfg(test)]
 mod tests;
 
-use super::{In, Row, Settings, table};
-use evidence::{Pair, Rule, Verdict};
+use super::{In, PanelSettings, TableRow, table};
+use evidence::{AcceptanceRule, ThresholdPair, ThresholdVerdict};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::Column;
 use photocurrent_core::{Context, DataType, Decl, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
@@ -29,8 +28,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over
-    /// it.
+    /// Most frames that are evaluated: all of a short recording, otherwise runs of neighbours spread over it.
     #[schemars(range(min = 2, max = 512))]
     pub frames: usize,
     /// How late events are against frames; absent = estimated as estimate/offset does.
@@ -38,14 +36,15 @@ pub struct Params {
     /// Pixels whose held-out frames judge thresholds, at most; half of them search, the other half decides.
     #[schemars(range(min = 32, max = 65536))]
     pub pixels: usize,
-    /// Other thresholds than the description's are used only where they predict held-out frames better by so
-    /// many standard errors.
+    /// Least improvement on held-out frames, standard errors, at which other thresholds than the
+    /// description's are used.
     #[schemars(range(min = 0.0))]
     pub least_z: f64,
     /// And only where held-out frames are missed by at least this share less.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub least_gain: f64,
-    /// A threshold is searched up to so many times the description's, and down to one part in so many.
+    /// Search range of a threshold: up to this many times the description's, and down to one part in this
+    /// many.
     #[schemars(range(min = 1.0, max = 100.0))]
     pub most_factor: f64,
 }
@@ -57,7 +56,7 @@ impl Default for Params {
 }
 
 photocurrent_core::ports! {
-    /// What was found.
+    /// The results.
     pub struct Out {
         /// `threshold_on` and `threshold_off`, natural-log units, positive, as the frames measure them, next
         /// to the description's (`description`) and those of `sensor` (`used`); `heldout_gain`, the share by
@@ -104,7 +103,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let mut metas = super::plan(inputs)?;
-        // Thresholds are stated or not, and of whatever size: nobody plans otherwise.
+        // Thresholds are stated or not, and of whatever size: the plan is the same.
         let none = || Meta::Absent {
             data_type: DataType::Sensor,
             why: "estimate/thresholds got no description".into(),
@@ -114,7 +113,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let settings = Settings { frames: self.params.frames, ..Settings::default() };
+        let settings = PanelSettings { frames: self.params.frames, ..PanelSettings::default() };
         let panel = input.panel(&settings)?;
         let offset_ns = self
             .params
@@ -136,10 +135,10 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
             None => cx.note("too few bright pixels changed by 0.3 or more between frames"),
         }
         let mut rows = vec![
-            Row::new("threshold_on", found.map(|found| found.on), "ln", 1.0),
-            Row::new("threshold_off", found.map(|found| found.off), "ln", 1.0),
+            TableRow::new("threshold_on", found.map(|found| found.on), "ln", 1.0),
+            TableRow::new("threshold_off", found.map(|found| found.off), "ln", 1.0),
         ];
-        let stated = input.sensor.as_ref().and_then(|sensor| stated(sensor));
+        let stated = input.sensor.as_ref().and_then(|sensor| stated_thresholds(sensor));
         let (mut sensor, mut used) = (input.sensor.clone(), stated);
         let mut gain = None;
         if input.sensor.is_some() && stated.is_none() {
@@ -147,14 +146,14 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         }
         if let (Some(description), Some(_)) = (&input.sensor, stated) {
             let Params { pixels, least_z, least_gain, most_factor, .. } = self.params;
-            let rule = Rule { pixels, least_z, least_gain, most_factor };
+            let rule = AcceptanceRule { pixels, least_z, least_gain, most_factor };
             let measured = found
                 .map(|found| (found.on.value, found.off.value))
                 .filter(|(on, off)| *on > 0.0 && *off > 0.0);
-            match evidence::judged(&input, description, measured, &rule, cx)? {
+            match evidence::evaluate_thresholds(&input, description, measured, &rule, cx)? {
                 Err(why) => cx.note(format!("the description's thresholds stay: {why}")),
                 Ok(verdict) => {
-                    cx.note(said(&verdict, &rule));
+                    cx.note(verdict_note(&verdict, &rule));
                     gain = Some(verdict.gain());
                     if verdict.is_used {
                         used = Some(verdict.found);
@@ -163,8 +162,8 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
                 }
             }
         }
-        rows.push(Row::new("heldout_gain", gain, "1", 1.0));
-        let next_to = |pair: Option<Pair>| {
+        rows.push(TableRow::new("heldout_gain", gain, "1", 1.0));
+        let next_to = |pair: Option<ThresholdPair>| {
             Column::Numbers(pair.map_or([f64::NAN; 3], |(on, off)| [on, off, f64::NAN]).to_vec())
         };
         Ok(Out {
@@ -177,20 +176,20 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
 }
 
 /// The thresholds of a description that states both.
-fn stated(sensor: &Sensor) -> Option<Pair> {
+fn stated_thresholds(sensor: &Sensor) -> Option<ThresholdPair> {
     sensor.comparator.threshold_on.zip(sensor.comparator.threshold_off)
 }
 
-fn with_thresholds(description: &Sensor, (on, off): Pair) -> Sensor {
+fn with_thresholds(description: &Sensor, (on, off): ThresholdPair) -> Sensor {
     let mut sensor = description.clone();
     (sensor.comparator.threshold_on, sensor.comparator.threshold_off) = (Some(on), Some(off));
     sensor
 }
 
-/// What was decided, in a sentence.
-fn said(verdict: &Verdict, rule: &Rule) -> String {
-    let Verdict { stated, found, gain, pixels, .. } = *verdict;
-    let two = |(on, off): Pair| format!("{on:.3} and {off:.3}");
+/// The result in a sentence.
+fn verdict_note(verdict: &ThresholdVerdict, rule: &AcceptanceRule) -> String {
+    let ThresholdVerdict { stated, found, gain, pixels, .. } = *verdict;
+    let two = |(on, off): ThresholdPair| format!("{on:.3} and {off:.3}");
     let missed = format!(
         "held-out frames of {pixels} pixels are missed by {:.1} % less (z = {:.1})",
         100.0 * gain,

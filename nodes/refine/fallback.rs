@@ -1,26 +1,26 @@
-//! Where a blend of the frames before and after predicts frames better than tracks do.
+//! Selects pixels and frames where a blend of the frames before and after predicts better than tracks do.
 //!
-//! With a wrong description, or where events were lost, what a solution makes of events can be worse than to
-//! make nothing of them. So all pixels (of a large sensor every second or third, of as many rows) predict
-//! each of their frames but the first and the last from the others, as they are solved; and so do two blends:
-//! of the pixel's own values before and after, weighted by time, and of those to which the motion leads.
-//! What they miss, squared, is pooled over a neighbourhood; where a blend misses clearly less, and what it
-//! gains is more than the noise of the frames, light around that frame is that blend.
+//! With a wrong description, or where events were lost, events can worsen a solution. So all pixels (of a
+//! large sensor every second or third, of as many rows) predict each of their frames but the first and the
+//! last from the others, by the solution and by two blends: of the pixel's own values before and after,
+//! weighted by time, and of those along the motion. Squared errors are pooled over a neighbourhood. Where the
+//! error of a blend is clearly smaller, by more than the noise of the frames, light around that frame is that
+//! blend.
 //!
-//! Frames alone do not decide: an edge that passes often leaves frames that are alike, and a blend of two
-//! predicts a third, but nothing between. There the solution explains the events. A blend is taken only where
-//! it does not.
+//! Frames alone do not decide: an edge that passes often leaves similar frames, and a blend of two predicts a
+//! third but not the light between. There the solution explains the events. A blend is used only where it
+//! does not.
 //!
-//! Limits: a frame is predicted over twice the time that lies between two frames, over which a blend loses
-//! more than a solution does, so that a blend is taken too seldom rather than too often; a saturated value
-//! enters a blend as it is; the motion comes from tracks that were solved with the frame.
+//! Limits: a frame is predicted over twice the time between two frames, over which a blend loses more than a
+//! solution does, so blends are used too seldom rather than too often. A saturated value enters a blend as it
+//! is. The motion comes from tracks that were solved with the frame.
 
-use super::again::{Again, Row};
-use super::trust::Posed;
+use super::again::{LoadedRecording, LoadedRow};
+use super::pseudo_measurement::SolverSensor;
 use photocurrent_core::handle::Band;
 use photocurrent_core::{Extent, TrackBand};
 use photocurrent_scene::flow::Flow;
-use photocurrent_scene::hue::Path;
+use photocurrent_scene::hue::MotionPath;
 use photocurrent_scene::image::{Image, smooth};
 use photocurrent_sensor::exposure::DigitalNumber;
 use photocurrent_sensor::map::estimate::{FEWEST_FRAMES, HoldOut};
@@ -31,16 +31,16 @@ use rayon::prelude::*;
 const LARGE: [usize; 2] = [20_000, 400_000];
 /// Standard deviation of the neighbourhood that decides, pixels.
 const NEIGHBOURHOOD: f64 = 2.0;
-/// A blend must miss less by this part of what the solution misses, squared, ...
+/// Least reduction of the squared error by a blend, as a share of the solution's, ...
 const CLEAR_GAIN: f64 = 0.3;
-/// ... and by more than so many variances of a frame value.
+/// ... and in variances of a frame value.
 const NOISE: f64 = 2.0;
-/// And what the solution leaves of events is more than so many thresholds, root mean square: an edge that
-/// passes often leaves frames that are alike, and a blend of them predicts the next, but not the events.
+/// Least residual of the events with the solution, root mean square, thresholds: an edge that passes often
+/// leaves similar frames, and a blend of them predicts the next, but not the events.
 const UNEXPLAINED: f64 = 0.2;
 /// Of fewer frames each is held out in turn, else one in three.
 const FEW_FRAMES: usize = 6;
-/// A squared relative error counts at most this.
+/// Upper bound of a squared relative error.
 const LARGEST: f64 = 1.0;
 /// Added to the light that an error is relative to, as a part of the brightest.
 const DARK: f64 = 0.1;
@@ -61,66 +61,67 @@ enum Blend {
 /// The blends, in the order of weights.
 const BLENDS: [Blend; 2] = [Blend::Own, Blend::Moved];
 
-/// What a pixel's frame is missed by, squared, as parts of its light: by the solution and by each blend; and
-/// the variance of its value.
+/// Squared relative errors of a pixel's frame, by the solution and by each blend; and the variance of its
+/// value.
 #[derive(Clone, Copy)]
-struct Missed {
+struct FrameErrors {
     frame: usize,
     solution: f64,
     blends: [f64; 2],
     noise: f64,
 }
 
-/// Frames as pictures of light, photocurrent with what effects add, and when each row of them was exposed.
-struct Frames {
+/// Photocurrent of frames, effects added, and the exposure of each of their rows.
+struct FramePhotocurrents {
     extent: Extent,
     light: Vec<Image>,
     /// The middle of each frame's exposure in each row, ns.
     mid_ns: Vec<Vec<i64>>,
     number: DigitalNumber,
-    /// What an error is relative to in addition to light.
+    /// Constant that is added to the light to which an error is relative.
     dark: f64,
     /// The least light that a blend may have.
     least: f64,
 }
 
-/// Which blend predicts frames better, where.
+/// The better predictor of each frame and pixel.
 pub(super) struct Fallback<'a> {
-    frames: Frames,
-    path: Path<'a>,
+    frames: FramePhotocurrents,
+    path: MotionPath<'a>,
     /// Weights of both blends around each frame, of every pixel; empty where neither is better anywhere.
     weights: Vec<[Vec<f32>; 2]>,
 }
 
 impl<'a> Fallback<'a> {
-    /// Tries all pixels; `left` is what each leaves of its events, thresholds, and `hints_of` gives hints
-    /// that know no more frames than it is given. None where no frame can be held out, or the pixels of the
-    /// sensor differ in their frames.
-    pub(crate) fn judge(
-        again: &mut Again,
+    /// Evaluates all pixels. `left`: residual of each pixel's events, thresholds. `hints_of`:
+    /// pseudo-measurements from the frames that it receives. `None` where no frame can be held out, or the
+    /// pixels differ in their frames.
+    pub(crate) fn evaluate(
+        again: &mut LoadedRecording,
         (flow, left): (&'a Flow, &[f32]),
-        hints_of: impl Fn(&Row, usize, &[MapFrame], f64, &mut Vec<Hint>) + Sync,
+        hints_of: impl Fn(&LoadedRow, usize, &[MapFrame], f64, &mut Vec<Hint>) + Sync,
     ) -> Option<Fallback<'a>> {
         let extent = again.meta.extent;
-        let (frames, path) = (Frames::new(again)?, Path::new(flow));
+        let (frames, path) = (FramePhotocurrents::new(again)?, MotionPath::new(flow));
         let count = frames.light.len();
         let every = if count < FEW_FRAMES { count } else { 3 };
         let holds: Vec<HoldOut> = (0..every).map(|first| HoldOut { every, first }).collect();
         let pitch = 1 + LARGE.iter().filter(|large| extent.pixels() > **large).count();
         let missed = again.predictions(pitch, &holds, hints_of, |row, x, predicted| {
-            let of = |(l, dn)| frames.missed((x, row.row as usize), &row.frames_of(x)[l], (l, dn), &path);
+            let of =
+                |(l, dn)| frames.frame_errors((x, row.row as usize), &row.frames_of(x)[l], (l, dn), &path);
             predicted.into_iter().map(of).collect()
         });
         let unexplained = smooth(left, extent.width as usize, extent.height as usize, NEIGHBOURHOOD);
         let weights =
             (0..count).into_par_iter().map(|l| choose((&missed, &unexplained), l, extent, pitch)).collect();
         let mut fallback = Fallback { frames, path, weights };
-        fallback.settle();
+        fallback.extend_to_borders();
         Some(fallback)
     }
 
-    /// Around the first and the last frame, which nobody predicts, as around the next.
-    fn settle(&mut self) {
+    /// The first and the last frame, which are not predicted, get the predictor of the next one.
+    fn extend_to_borders(&mut self) {
         let last = self.weights.len() - 1;
         self.weights[0] = self.weights[1].clone();
         self.weights[last] = self.weights[last - 1].clone();
@@ -129,15 +130,15 @@ impl<'a> Fallback<'a> {
         }
     }
 
-    /// The part of all light, pixel by pixel and frame by frame, that is a blend.
-    pub(crate) fn part(&self) -> f64 {
+    /// Share of all light, by pixel and frame, that is a blend.
+    pub(crate) fn blended_share(&self) -> f64 {
         let weights = self.weights.iter().flatten().flatten();
         let sum: f64 = weights.map(|weight| f64::from(*weight)).sum();
         sum / (self.frames.light.len() * self.frames.extent.pixels()) as f64
     }
 
-    /// Tracks with the blends in them; standard deviations are wider by half of what both differ.
-    pub(crate) fn apply(&self, tracks: TrackBand, sensor: &Posed, with_sigma: bool) -> TrackBand {
+    /// Tracks with the blends applied; standard deviations are widened by half the difference.
+    pub(crate) fn apply(&self, tracks: TrackBand, sensor: &SolverSensor, with_sigma: bool) -> TrackBand {
         if self.weights.is_empty() {
             return tracks;
         }
@@ -161,7 +162,13 @@ impl<'a> Fallback<'a> {
     }
 
     /// The knots of a pixel: time, photocurrent, standard deviation of its logarithm.
-    fn pixel(&self, tracks: &TrackBand, (x, y): (u32, u32), sensor: &Posed, out: &mut Vec<(i64, f32, f32)>) {
+    fn pixel(
+        &self,
+        tracks: &TrackBand,
+        (x, y): (u32, u32),
+        sensor: &SolverSensor,
+        out: &mut Vec<(i64, f32, f32)>,
+    ) {
         let track = tracks.pixel(x, y);
         let sigma = |k: usize| track.sigma.get(k).copied().unwrap_or(0.0);
         out.clear();
@@ -178,7 +185,7 @@ impl<'a> Fallback<'a> {
             let (t, light, own_sigma) = own(k);
             let correction = |t: i64, log: f64| self.correction((x, y), t, log, sensor);
             match correction(t, log(k)) {
-                Some(by) => out.push(moved(t, log(k) + by, own_sigma, by)),
+                Some(by) => out.push(shifted_knot(t, log(k) + by, own_sigma, by)),
                 None => out.push((t, light, own_sigma)),
             }
             let Some(&next) = track.t.get(k + 1) else { break };
@@ -188,14 +195,14 @@ impl<'a> Fallback<'a> {
                 let share = n as f64 / parts as f64;
                 let (between, t) = (log(k) + share * (log(k + 1) - log(k)), t + (next - t) * n / parts);
                 let wide = own_sigma + share as f32 * (sigma(k + 1) - own_sigma);
-                out.extend(correction(t, between).map(|by| moved(t, between + by, wide, by)));
+                out.extend(correction(t, between).map(|by| shifted_knot(t, between + by, wide, by)));
             }
         }
     }
 
-    /// What is added to the logarithm of a pixel's light at an instant; nothing where no blend counts.
-    fn correction(&self, (x, y): (usize, usize), t_ns: i64, log: f64, sensor: &Posed) -> Option<f64> {
-        let (before, after, share) = self.frames.around(y, t_ns);
+    /// Correction of a pixel's log light at an instant; `None` where no blend is used.
+    fn correction(&self, (x, y): (usize, usize), t_ns: i64, log: f64, sensor: &SolverSensor) -> Option<f64> {
+        let (before, after, share) = self.frames.bracketing_frames(y, t_ns);
         let at = y * self.frames.extent.width as usize + x;
         let mut correction = None;
         for (n, blend) in BLENDS.into_iter().enumerate() {
@@ -212,29 +219,29 @@ impl<'a> Fallback<'a> {
 }
 
 /// A knot whose logarithm was moved: its standard deviation is wider by half of that.
-fn moved(t_ns: i64, log: f64, sigma: f32, by: f64) -> (i64, f32, f32) {
+fn shifted_knot(t_ns: i64, log: f64, sigma: f32, by: f64) -> (i64, f32, f32) {
     (t_ns, libm::exp(log) as f32, libm::hypot(f64::from(sigma), 0.5 * by) as f32)
 }
 
-impl Frames {
-    fn new(again: &Again) -> Option<Frames> {
+impl FramePhotocurrents {
+    fn new(again: &LoadedRecording) -> Option<FramePhotocurrents> {
         let extent = again.meta.extent;
         let number = again.sensor().model.number;
         let count = again.rows.first()?.frames_of(0).len();
-        let all = |row: &Row| (0..extent.width as usize).all(|x| row.frames_of(x).len() == count);
+        let all = |row: &LoadedRow| (0..extent.width as usize).all(|x| row.frames_of(x).len() == count);
         if count < FEWEST_FRAMES || !again.rows.iter().all(all) {
             return None;
         }
         let picture = |l: usize| {
             let light = |frame: &MapFrame| (number.integral(frame.dn) / seconds(frame)) as f32;
-            let row = |row: &'_ Row| -> Vec<f32> {
+            let row = |row: &'_ LoadedRow| -> Vec<f32> {
                 (0..extent.width as usize).map(|x| light(&row.frames_of(x)[l])).collect()
             };
             let values: Vec<f32> = again.rows.iter().flat_map(row).collect();
             Image { width: extent.width as usize, height: extent.height as usize, values }
         };
         let light: Vec<Image> = (0..count).into_par_iter().map(picture).collect();
-        let mid = |row: &Row, l: usize| {
+        let mid = |row: &LoadedRow, l: usize| {
             let frame = &row.frames_of(0)[l];
             frame.start_ns + (frame.end_ns - frame.start_ns) / 2
         };
@@ -242,12 +249,12 @@ impl Frames {
         let most = light.iter().flat_map(|image| &image.values).fold(0.0_f32, |most, v| f32::max(most, *v));
         (most > 0.0).then(|| {
             let most = f64::from(most);
-            Frames { extent, light, mid_ns, number, dark: DARK * most, least: LEAST * most }
+            FramePhotocurrents { extent, light, mid_ns, number, dark: DARK * most, least: LEAST * most }
         })
     }
 
     /// The frames before and after an instant, and the share of the later one.
-    fn around(&self, y: usize, t_ns: i64) -> (usize, usize, f64) {
+    fn bracketing_frames(&self, y: usize, t_ns: i64) -> (usize, usize, f64) {
         let after = self.mid_ns.partition_point(|rows| rows[y] <= t_ns);
         let last = self.mid_ns.len() - 1;
         if after == 0 || after > last {
@@ -265,13 +272,13 @@ impl Frames {
         (x, y): (usize, usize),
         t_ns: i64,
         (before, after): (usize, usize),
-        path: &Path<'_>,
+        path: &MotionPath<'_>,
     ) -> f64 {
         let own = |frame: usize| f64::from(self.light[frame].values[y * self.extent.width as usize + x]);
         let read = |frame: usize| match blend {
             Blend::Own => own(frame),
             Blend::Moved => {
-                let (x, y) = path.place((x as f64, y as f64), t_ns, self.mid_ns[frame][y]);
+                let (x, y) = path.follow((x as f64, y as f64), t_ns, self.mid_ns[frame][y]);
                 self.light[frame].sample(x, y).map_or_else(|| own(frame), |(light, ..)| light)
             }
         };
@@ -283,14 +290,14 @@ impl Frames {
         (1.0 - share) * read(before) + share * read(after)
     }
 
-    /// What frame l of a pixel is missed by, of which the solution predicts `dn`.
-    fn missed(
+    /// Errors of frame l of a pixel; the solution predicts `dn`.
+    fn frame_errors(
         &self,
         (x, y): (usize, usize),
         frame: &MapFrame,
         (l, dn): (usize, f64),
-        path: &Path<'_>,
-    ) -> Missed {
+        path: &MotionPath<'_>,
+    ) -> FrameErrors {
         let seen = f64::from(self.light[l].values[y * self.extent.width as usize + x]);
         let light = |dn: f64| self.number.integral(dn) / seconds(frame);
         let relative = |by: f64| {
@@ -299,7 +306,7 @@ impl Frames {
         };
         let t_ns = self.mid_ns[l][y];
         let of_blend = |blend: Blend| relative(self.blend(blend, (x, y), t_ns, (l - 1, l + 1), path) - seen);
-        Missed {
+        FrameErrors {
             frame: l,
             solution: relative(light(dn) - light(frame.dn)),
             blends: BLENDS.map(of_blend),
@@ -315,14 +322,14 @@ fn seconds(frame: &MapFrame) -> f64 {
 
 /// The weights of both blends around frame l, of every pixel: 0 or 1, smooth between.
 fn choose(
-    (missed, unexplained): (&[Vec<Vec<Missed>>], &[f32]),
+    (missed, unexplained): (&[Vec<Vec<FrameErrors>>], &[f32]),
     l: usize,
     extent: Extent,
     pitch: usize,
 ) -> [Vec<f32>; 2] {
     let (columns, lines) = (missed.first().map_or(0, Vec::len), missed.len());
-    let of = |value: &dyn Fn(&Missed) -> f64| -> Vec<f32> {
-        let here = |pixel: &Vec<Missed>| {
+    let of = |value: &dyn Fn(&FrameErrors) -> f64| -> Vec<f32> {
+        let here = |pixel: &Vec<FrameErrors>| {
             pixel.iter().find(|missed| missed.frame == l).map_or(0.0, |missed| value(missed) as f32)
         };
         let values: Vec<f32> = missed.iter().flatten().map(here).collect();

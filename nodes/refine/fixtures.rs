@@ -6,7 +6,7 @@ use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::random::Random;
 use photocurrent_core::{EventStream, Exposure, Extent, FrameSequence, Node, Sensor, TrackSet, testing};
-use photocurrent_scene::film::{Fired, LogTracks};
+use photocurrent_scene::film::{EventTimes, LogTracks};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::forward::{Chain, LOG_STEP, LinearLight, Noiseless, Pixel, simulate};
 use photocurrent_sensor::front_end::FrontEnd;
@@ -28,7 +28,7 @@ pub(super) fn sensor() -> Arc<Sensor> {
     Arc::new(sensor)
 }
 
-/// What that sensor records of light whose logarithm is `log(x, y, ms)`.
+/// The sensor's recording of light with the logarithm `log(x, y, ms)`.
 pub(super) fn record(log: impl Fn(usize, usize, f64) -> f64) -> (EventStream, FrameSequence) {
     let t_ns: Vec<i64> = (0..=END_NS / 50_000).map(|n| n * 50_000).collect();
     let exposures: Vec<Exposure> =
@@ -117,7 +117,7 @@ pub(super) fn error_in(
     let tracks = LogTracks::new(
         EXTENT,
         tracks.read(EXTENT.rows()).unwrap(),
-        &Arc::new(Fired::new(std::iter::empty())),
+        &Arc::new(EventTimes::new(std::iter::empty())),
     );
     let (mut sum, mut count) = (0.0, 0.0);
     for y in 0..EXTENT.height as usize {

@@ -1,13 +1,12 @@
-//! Photocurrent that is known already, solved again with more knowledge; and frames of it, refined by a
-//! network.
+//! Refines solved photocurrent with additional information, and frames of it with a network.
 
 mod again;
-mod caution;
 mod fallback;
 #[cfg(test)]
 mod fixtures;
 pub mod motion;
 pub mod onnx;
 pub mod picture;
+mod pseudo_measurement;
 pub mod steered;
-mod trust;
+mod variance_factor;

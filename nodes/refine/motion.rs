@@ -1,32 +1,32 @@
-//! `refine/motion`: tracks solved again, with what neighbours know.
+//! `refine/motion`: tracks solved again, with predictions from neighbouring pixels.
 //!
-//! Idea: where something moves, neighbouring pixels see the same light one after the other. A pixel that had
-//! no event for a while knows little about its light, but what passed its neighbours a moment ago passes it
-//! now. So the motion is found from the tracks themselves, every pixel's light is predicted by its
-//! neighbours' tracks carried along the motion, and the pixel is solved again with that as a further
-//! measurement in addition to its own events and frames ([`photocurrent_sensor::map::Hint`]). Better tracks
-//! give a better motion: a few rounds.
+//! Idea: where something moves, neighbouring pixels see the same light one after the other. A pixel without
+//! recent events determines its light poorly, but the light that passed its neighbours a moment ago passes it
+//! now. So the motion is estimated from the tracks themselves. Every pixel's light is predicted by its
+//! neighbours' tracks along the motion, and the pixel is solved again with that prediction as a
+//! pseudo-measurement in addition to its own events and frames ([`photocurrent_sensor::map::Hint`]). Better
+//! tracks give a better motion: a few rounds.
 //!
-//! The error of what neighbours say is measured, not assumed: past and future neighbours must agree with each
-//! other, and with the pixel's own events and frames. Where they do not (something is uncovered, two things
-//! move through each other, nothing moves at all), the pixel stays as it was. And before every round the
-//! whole is tried on pixels without one frame in three: they must predict those frames better with what
-//! neighbours say than without, region by region, or it is left away there ([`Caution`]).
+//! The error of the prediction is measured, not assumed: past and future neighbours must agree with each
+//! other, and with the pixel's own events and frames. Where they do not (occlusion, two motions, no motion),
+//! the pixel stays as it was. Before every round the method is evaluated on pixels without one frame in
+//! three. They must predict those frames better with the pseudo-measurements than without, region by region,
+//! or these are removed there ([`VarianceFactors`]).
 //!
-//! Where even so events mislead, light is a blend of the frames before and after ([`Fallback`]).
+//! Where events mislead even so, light is a blend of the frames before and after ([`Fallback`]).
 //!
-//! Limits: with fewer than four frames nothing can be tried, and tracks stay as they are; it needs the whole
-//! sensor at once, as tracks and measurements; pictures of the motion are made for a part of the time after
-//! the other. Light that changes without moving is what it must reject, not what it can use.
+//! Limits: with fewer than four frames nothing can be evaluated, and tracks stay as they are. It needs the
+//! whole sensor at once, as tracks and measurements; pictures of the motion are computed for a part of the
+//! time after the other. It must reject light that changes without moving, and cannot use it.
 
 mod advect;
 #[cfg(test)]
 mod tests;
 
-use super::again::{Again, In, Out, Row, Solver};
-use super::caution::{Caution, take_care};
+use super::again::{In, LoadedRecording, LoadedRow, Out, RefineSolver};
 use super::fallback::Fallback;
-use super::trust::{Posed, Trust, TrustParams};
+use super::pseudo_measurement::{PseudoMeasurementParams, PseudoMeasurements, SolverSensor};
+use super::variance_factor::{VarianceFactors, scale_variances};
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
 use photocurrent_scene::film::LogTracks;
 use photocurrent_scene::flow::{Flow, MotionParams};
@@ -37,65 +37,74 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// Tracks and their motion, to ask neighbours.
+/// Tracks and their motion, for predictions from neighbours.
 pub(super) struct Neighbours<'a> {
     pub log: &'a LogTracks,
     pub flow: &'a Flow,
     pub motion: &'a MotionParams,
-    /// As [`DOUBT`].
-    pub doubt: f64,
-    pub sensor: &'a Posed,
-    /// Neighbours are asked at every so many ns.
+    /// Share of the squared difference of two predictions that is added as variance (`DOUBT`).
+    pub ambiguity: f64,
+    pub sensor: &'a SolverSensor,
+    /// Step of the predictions, ns.
     pub step_ns: i64,
-    pub trust: &'a TrustParams,
+    pub hint_params: &'a PseudoMeasurementParams,
 }
 
 impl Neighbours<'_> {
-    /// Do pixels without some of their frames predict those better with what neighbours say than without?
-    pub(crate) fn caution(&self, again: &mut Again) -> Caution {
-        again.caution(
-            self.trust,
+    /// Selects variance factors: do pixels predict held-out frames better with predictions from neighbours
+    /// than without?
+    pub(crate) fn variance_factors(&self, again: &mut LoadedRecording) -> VarianceFactors {
+        again.variance_factors(
+            self.hint_params,
             |_| (),
-            |(), row, x, threshold, hints| self.ask(row, x, &kept(row.frames_of(x)), threshold, hints),
+            |(), row, x, threshold, hints| {
+                self.neighbour_hints(row, x, &kept(row.frames_of(x)), threshold, hints)
+            },
         )
     }
 
-    /// What neighbours say of a pixel, as carefully as that has shown to be right, and at least as carefully
-    /// as `least`.
+    /// Pseudo-measurements of a pixel from its neighbours, with a variance factor of at least `least`.
     pub(crate) fn hints(
         &self,
-        row: &Row,
+        row: &LoadedRow,
         x: usize,
         threshold: f64,
-        (caution, least): (&Caution, f64),
+        (factor, least): (&VarianceFactors, f64),
         hints: &mut Vec<Hint>,
     ) {
-        self.hints_with((row, row.frames_of(x)), x, threshold, (caution, least), hints);
+        self.hints_with((row, row.frames_of(x)), x, threshold, (factor, least), hints);
     }
 
-    /// The same to a pixel that knows only some of its frames.
+    /// The same for a pixel with only some of its frames.
     fn hints_with(
         &self,
-        (row, frames): (&Row, &[MapFrame]),
+        (row, frames): (&LoadedRow, &[MapFrame]),
         x: usize,
         threshold: f64,
-        (caution, least): (&Caution, f64),
+        (factor, least): (&VarianceFactors, f64),
         hints: &mut Vec<Hint>,
     ) {
-        let caution = f64::max(caution.at(x, row.row as usize), least);
-        if caution.is_finite() {
-            self.ask(row, x, frames, threshold, hints);
+        let factor = f64::max(factor.at(x, row.row as usize), least);
+        if factor.is_finite() {
+            self.neighbour_hints(row, x, frames, threshold, hints);
         }
-        take_care(hints, caution);
+        scale_variances(hints, factor);
     }
 
-    fn ask(&self, row: &Row, x: usize, frames: &[MapFrame], threshold: f64, hints: &mut Vec<Hint>) {
-        let Neighbours { log, flow, motion, doubt, sensor, step_ns, trust } = *self;
-        let say = |t_ns: i64| {
-            advect::neighbours(log, (flow, motion, doubt), (x, row.row as usize), row.span(), t_ns)
+    fn neighbour_hints(
+        &self,
+        row: &LoadedRow,
+        x: usize,
+        frames: &[MapFrame],
+        threshold: f64,
+        hints: &mut Vec<Hint>,
+    ) {
+        let Neighbours { log, flow, motion, ambiguity, sensor, step_ns, hint_params } = *self;
+        let predict = |t_ns: i64| {
+            advect::neighbours(log, (flow, motion, ambiguity), (x, row.row as usize), row.span(), t_ns)
         };
         let measured = row.measured(x, sensor, log.extent, frames, threshold);
-        Trust::new(trust).hints(say, log, row.span(), step_ns, &measured, hints);
+        PseudoMeasurements::new(hint_params).hints(predict, log, row.span(), step_ns, &measured, hints);
     }
 }
 
@@ -129,15 +138,15 @@ impl Default for Params {
 
 /// The node.
 pub struct RefineMotion {
-    solver: Solver,
+    solver: RefineSolver,
     params: Params,
 }
 
 impl Node for RefineMotion {
     const DECL: Decl = Decl {
         kind: "refine/motion",
-        about: "Solves tracks again with what neighbouring pixels saw before and after, carried along the \
-                motion.",
+        about: "Solves tracks again with predictions from neighbouring pixels before and after, carried \
+                along the motion.",
         revision: 21,
         grain: Grain::Whole,
         draws: false,
@@ -163,7 +172,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        Ok(RefineMotion { solver: Solver::build(params.solver)?, params })
+        Ok(RefineMotion { solver: RefineSolver::build(params.solver)?, params })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
@@ -175,41 +184,48 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
             self.solver.meta(Self::DECL.kind, &input.tracks.meta, &input.events.meta, &input.frames.meta)?;
         cx.begin(cx.rows().len() as u64 * (1 + u64::from(self.params.rounds)), "rows");
         let mut tracks = input.tracks.read(cx.rows())?;
-        let mut again = self.solver.take_in(meta, &input.events, &input.frames, &input.sensor, cx)?;
+        let mut again = self.solver.load_recording(meta, &input.events, &input.frames, &input.sensor, cx)?;
         let (fired, activity) = (again.fired(), again.activity());
         let (extent, sensor) = (again.meta.extent, again.sensor());
         let span = (again.meta.span.start.0, again.meta.span.end.0);
         let step_ns = 2 * self.params.solver.knot_spacing.ns();
-        let (motion, trust) = (&MotionParams::default(), &TrustParams::default());
+        let (motion, hint_params) = (&MotionParams::default(), &PseudoMeasurementParams::default());
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
-            let flow = Flow::of_tracks(&log, span, &activity, (motion, true));
-            let neighbours =
-                Neighbours { log: &log, flow: &flow, motion, doubt: DOUBT, sensor: &sensor, step_ns, trust };
-            let caution = neighbours.caution(&mut again);
+            let flow = Flow::estimate(&log, span, &activity, (motion, true));
+            let neighbours = Neighbours {
+                log: &log,
+                flow: &flow,
+                motion,
+                ambiguity: DOUBT,
+                sensor: &sensor,
+                step_ns,
+                hint_params,
+            };
+            let factor = neighbours.variance_factors(&mut again);
             let is_last = round == self.params.rounds;
             let left;
             (tracks, left) = again.solve(
                 cx,
                 is_last,
                 |_| (),
-                |(), row, x, threshold, hints| neighbours.hints(row, x, threshold, (&caution, 0.0), hints),
+                |(), row, x, threshold, hints| neighbours.hints(row, x, threshold, (&factor, 0.0), hints),
             )?;
             if is_last && self.params.fall_back {
                 let hints =
-                    |row: &Row, x: usize, kept: &[MapFrame], threshold: f64, hints: &mut Vec<Hint>| {
-                        neighbours.hints_with((row, kept), x, threshold, (&caution, 0.0), hints)
+                    |row: &LoadedRow, x: usize, kept: &[MapFrame], threshold: f64, hints: &mut Vec<Hint>| {
+                        neighbours.hints_with((row, kept), x, threshold, (&factor, 0.0), hints)
                     };
-                let fallback = Fallback::judge(&mut again, (&flow, &left), hints);
+                let fallback = Fallback::evaluate(&mut again, (&flow, &left), hints);
                 drop(log);
                 if let Some(fallback) = fallback {
                     tracks = fallback.apply(tracks, &sensor, again.meta.has_sigma);
-                    if fallback.part() > WORTH_A_NOTE {
+                    if fallback.blended_share() > WORTH_A_NOTE {
                         cx.note(format!(
                             "{:.1} % of the light is a blend of the frames before and after, which predicts \
                              frames that were held out clearly better than events do there: thresholds, \
                              exposure or clocks may be wrong, or events were lost",
-                            1e2 * fallback.part()
+                            1e2 * fallback.blended_share()
                         ));
                     }
                 }

@@ -1,7 +1,7 @@
 //! `refine/onnx`: frames without the noise and artefacts that solving pixel by pixel leaves, by a trained
 //! network.
 //!
-//! Idea: a solver that looks at one pixel at a time does not know that neighbours belong together; a network
+//! Idea: a solver of single pixels does not use the similarity of neighbours; a network
 //! that has seen many solved frames together with the truth does (Jiang et al., CVPR 2024, section 4.2). It
 //! is shown a frame and, where they are connected, each value's standard deviation, the events near the
 //! frame's instant and the nearest captured frame, as shares of white, and gives the frame once more.
@@ -11,7 +11,7 @@
 //!
 //! What bounds the harm on frames unlike those it was trained on is the solver's own knowledge: a value
 //! changes by two of its standard deviations at most (`most_sigmas`), and a pixel that never fired not at all
-//! (`quiet`): all its frames say what its light is, and the network sees one instant.
+//! (`quiet`): all its frames determine its light, and the network sees one instant.
 //!
 //! Frames are cut into tiles with some of their surroundings ([`tiles`]); three colours are refined one after
 //! the other.
@@ -42,13 +42,13 @@ use photocurrent_core::{
     Context, Decl, EventStream, EventsMeta, FileRef, FrameBlock, FrameSequence, FramesMeta, Grain, MapMeta,
     MapSet, Meta, Node, NodeError, PortMetas, Sensor,
 };
-use photocurrent_scene::alignment::{Alignment, Around};
+use photocurrent_scene::alignment::{Alignment, BilinearWeights};
 use photocurrent_solve::pixel_events::{Stamp, StepRule, clock_offset};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-use tiles::{MULTIPLE, Span, spans};
+use tiles::{MULTIPLE, TileSpan, spans};
 
 /// Parameters of `refine/onnx`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -63,8 +63,8 @@ pub struct Params {
     /// that is not connected.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub white: Option<f64>,
-    /// How far from a frame's instant events count; absent = the mean period of `captured`, or 10 ms where
-    /// that is not connected or has one frame.
+    /// Largest distance of an event from a frame's instant; absent = the mean period of `captured`, or 10 ms
+    /// where that is not connected or has one frame.
     #[schemars(extend("x-min" = "1 us", "x-max" = "10 s"))]
     pub window: Option<Duration>,
     /// Sides of the squares into which a frame is cut, pixels, a multiple of 16.
@@ -73,8 +73,7 @@ pub struct Params {
     /// How much of a square's surroundings is shown to the network on each side, pixels, a multiple of 16.
     #[schemars(range(min = 0, max = 1024))]
     pub overlap: u32,
-    /// How many of its standard deviations a value changes at most; where `sigma` is not connected or not
-    /// known nothing limits it.
+    /// Largest change of a value, standard deviations; unlimited where `sigma` is not connected or not known.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub most_sigmas: f64,
     /// Whether pixels without a single event in all of `events` change too.
@@ -128,7 +127,7 @@ pub struct RefineOnnx {
     params: Params,
 }
 
-/// Reach of events where no captured frames say what is usual.
+/// Reach of events, ns, where there are no captured frames.
 const WINDOW_NS: i64 = 10_000_000;
 /// A pixel of the frames sees an event pixel of another array from this part on.
 const SEEN: f32 = 0.01;
@@ -137,8 +136,8 @@ const BELOW_WHITE: f64 = 0.999;
 const INPUTS: [&str; 4] = ["frame", "sigma", "events", "captured"];
 const OUTPUT: &str = "refined";
 
-/// What is connected, as far as it is known before the data.
-struct Connected<'a> {
+/// Connected inputs, from their metadata.
+struct ConnectedPorts<'a> {
     frames: &'a FramesMeta,
     sigma: Option<&'a FramesMeta>,
     events: Option<&'a EventsMeta>,
@@ -146,7 +145,7 @@ struct Connected<'a> {
     captured: Option<&'a FramesMeta>,
 }
 
-impl Connected<'_> {
+impl ConnectedPorts<'_> {
     fn check(&self) -> Result<(), NodeError> {
         let frames = self.frames;
         if frames.colour.is_mosaic() {
@@ -309,7 +308,7 @@ params = { weights = "data/weights/refine.onnx" }
         let optional = |name| inputs.has(name).then(|| inputs.frames(name)).transpose();
         let (sigma, captured) = (optional("sigma")?, optional("captured")?);
         let events = inputs.has("events").then(|| inputs.events("events")).transpose()?;
-        Connected {
+        ConnectedPorts {
             frames,
             sigma: sigma.map(|meta| &**meta),
             events: events.map(|meta| &**meta),
@@ -335,7 +334,7 @@ params = { weights = "data/weights/refine.onnx" }
         let of = |frames: &Option<FrameSequence>| frames.as_ref().map(|frames| frames.meta.clone());
         let (sigma, captured, events) =
             (of(&input.sigma), of(&input.captured), input.events.as_ref().map(|events| events.meta.clone()));
-        Connected {
+        ConnectedPorts {
             frames: &meta,
             sigma: sigma.as_deref(),
             events: events.as_deref(),
@@ -357,15 +356,15 @@ params = { weights = "data/weights/refine.onnx" }
             self.params.window.map(Duration::ns).or(period.map(|ns| ns as i64)).unwrap_or(WINDOW_NS);
         let shift_ns =
             input.sensor.as_deref().map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
-        // Thresholds are not asked for: events are counted.
+        // Thresholds are not needed: events are counted.
         let rule = StepRule { threshold_on: 1.0, threshold_off: 1.0, stamp: Stamp::OffPixel, shift_ns };
-        let counts = input.events.as_ref().map(|_| Counts::of(&input, &rule)).transpose()?;
+        let counts = input.events.as_ref().map(|_| EventCounts::from_input(&input, &rule)).transpose()?;
         cx.begin(meta.times.len() as u64, "frames");
         let silent = match &counts {
-            Some(counts) if !self.params.quiet => counts.silent(),
+            Some(counts) if !self.params.quiet => counts.without_events(),
             _ => Vec::new(),
         };
-        let work = Work {
+        let work = FrameInputs {
             params: &self.params,
             silent,
             network: &*network,
@@ -388,14 +387,14 @@ params = { weights = "data/weights/refine.onnx" }
     }
 }
 
-/// All that a frame is made of.
-struct Work<'a> {
+/// Inputs of a frame.
+struct FrameInputs<'a> {
     params: &'a Params,
     network: &'a dyn Network,
     input: &'a In,
     /// Captured frames, at least one.
     shown: Option<&'a FrameSequence>,
-    counts: Option<Counts>,
+    counts: Option<EventCounts>,
     /// By pixel: is there no event of it at all? Empty where that does not matter.
     silent: Vec<bool>,
     black: f64,
@@ -405,25 +404,27 @@ struct Work<'a> {
     cx: &'a Context<'a>,
 }
 
-/// Events, as the pixels of the frames have them.
-struct Counts {
+/// Events on the pixels of the frames.
+struct EventCounts {
     timeline: Timeline,
-    /// Width and height of what they are of.
+    /// Width and height of the event array.
     size: (usize, usize),
     /// The event pixels around each pixel of the frames, where they are of another array.
-    around: Option<Vec<Around>>,
+    around: Option<Vec<BilinearWeights>>,
 }
 
-impl Counts {
+impl EventCounts {
     /// Of connected events.
-    fn of(input: &In, rule: &StepRule) -> Result<Counts, NodeError> {
+    fn from_input(input: &In, rule: &StepRule) -> Result<EventCounts, NodeError> {
         let events = input.events.as_ref().expect("the events are connected");
         let extent = events.meta.extent;
         let array = input.alignment.as_ref().filter(|alignment| alignment.meta.extent == extent);
         let around = array
-            .map(|map| Ok::<_, NodeError>(Alignment::of(map)?.around(input.frames.meta.extent)))
+            .map(|map| {
+                Ok::<_, NodeError>(Alignment::from_map(map)?.bilinear_weights(input.frames.meta.extent))
+            })
             .transpose()?;
-        Ok(Counts {
+        Ok(EventCounts {
             timeline: Timeline::new(&events.read(events.rows())?, rule),
             size: (extent.width as usize, extent.height as usize),
             around,
@@ -432,18 +433,18 @@ impl Counts {
 
     /// Events near an instant as [`Timeline::near`] counts them, [ON or OFF][y][x]; bilinear between the
     /// event pixels of another array, where a pixel of the frames has as many as an event pixel there.
-    fn near(&self, instant: i64, reach_ns: i64) -> Vec<f32> {
+    fn counts_near(&self, instant: i64, reach_ns: i64) -> Vec<f32> {
         let counts = self.timeline.near(instant, reach_ns, self.size);
         let Some(around) = &self.around else { return counts };
         let planes = counts.chunks_exact(self.size.0 * self.size.1);
-        planes.flat_map(|plane| around.iter().map(|around| around.of(plane))).collect()
+        planes.flat_map(|plane| around.iter().map(|around| around.interpolate(plane))).collect()
     }
 
-    /// By pixel of the frames: has no event pixel that it sees a single event?
-    fn silent(&self) -> Vec<bool> {
+    /// For each pixel of the frames: does no event pixel at its place have an event?
+    fn without_events(&self) -> Vec<bool> {
         let silent = self.timeline.silent(self.size);
         let Some(around) = &self.around else { return silent };
-        let none = |around: &Around| {
+        let none = |around: &BilinearWeights| {
             around.at.iter().zip(around.weights).all(|(at, weight)| weight < SEEN || silent[*at])
         };
         around.iter().map(none).collect()
@@ -451,14 +452,14 @@ impl Counts {
 }
 
 /// Planes [channel][y][x] of a whole frame.
-struct Planes {
+struct FramePlanes {
     channels: usize,
     width: usize,
     values: Vec<f32>,
 }
 
-impl Planes {
-    fn tile(&self, (first, count): (usize, usize), x: Span, y: Span) -> Tensor {
+impl FramePlanes {
+    fn tile(&self, (first, count): (usize, usize), x: TileSpan, y: TileSpan) -> Tensor {
         let height = self.values.len() / (self.channels * self.width);
         let row = |channel: usize, at: usize| {
             &self.values[(channel * height + at.min(height - 1)) * self.width..][..self.width]
@@ -472,13 +473,13 @@ impl Planes {
     }
 }
 
-impl Work<'_> {
+impl FrameInputs<'_> {
     fn meta(&self) -> &FramesMeta {
         &self.input.frames.meta
     }
 
-    /// What the network sees of a picture; `share` is a value's, by its row. What is not known is black.
-    fn planes(&self, picture: &[f32], share: impl Fn(f32, u32) -> f64) -> Planes {
+    /// The network's input from a picture; `share` scales a value by its row. Unknown values are black.
+    fn planes(&self, picture: &[f32], share: impl Fn(f32, u32) -> f64) -> FramePlanes {
         let (width, channels) = (self.meta().extent.width as usize, self.meta().channels() as usize);
         let of_channel = |channel: usize| {
             let share = &share;
@@ -489,14 +490,14 @@ impl Work<'_> {
                     .map(move |dn| if dn.is_finite() { share(*dn, y as u32) as f32 } else { 0.0 })
             })
         };
-        Planes { channels, width, values: (0..channels).flat_map(of_channel).collect() }
+        FramePlanes { channels, width, values: (0..channels).flat_map(of_channel).collect() }
     }
 
     fn frame(&self, frame: usize, out: &mut [f32]) -> Result<(), NodeError> {
         let meta = self.meta();
         let (width, height, channels) =
             (meta.extent.width as usize, meta.extent.height as usize, meta.channels() as usize);
-        let flat = |share: f32, channels: usize| Planes {
+        let flat = |share: f32, channels: usize| FramePlanes {
             channels,
             width,
             values: vec![share; channels * width * height],
@@ -525,7 +526,9 @@ impl Work<'_> {
         };
         let captured = self.captured(frame, instant)?.unwrap_or_else(|| flat(0.0, channels));
         let events = match &self.counts {
-            Some(counts) => Planes { channels: 2, width, values: counts.near(instant, self.reach_ns) },
+            Some(counts) => {
+                FramePlanes { channels: 2, width, values: counts.counts_near(instant, self.reach_ns) }
+            }
             None => flat(1.0, 2),
         };
         let side = |side: usize| spans(side, self.params.tile as usize, self.params.overlap as usize);
@@ -571,7 +574,7 @@ impl Work<'_> {
 
     /// The captured frame nearest to an instant, ns, as if exposed like frame `frame`; none where no frames
     /// are shown.
-    fn captured(&self, frame: usize, instant: i64) -> Result<Option<Planes>, NodeError> {
+    fn captured(&self, frame: usize, instant: i64) -> Result<Option<FramePlanes>, NodeError> {
         let Some(captured) = self.shown else { return Ok(None) };
         let meta = self.meta();
         let nearest = nearest_frame(&captured.meta, meta.extent.height / 2, instant);

@@ -1,33 +1,35 @@
 //! `refine/picture`: tracks solved again with a moving picture that explains all frames.
 //!
 //! Idea: where something rigid moves, all its frames are views of one picture. Between events and between
-//! exposures a pixel by itself knows nothing of a smooth texture; the picture does, because other exposures
-//! saw the same place, from elsewhere. So a scene ([`photocurrent_scene::mosaic`]) is fitted to the frames
-//! alone: one moving picture, or one before a still ground, or pictures of tiles. What it predicts for a
-//! pixel is a further measurement in addition to the pixel's own events and frames (and what its neighbours
-//! say, as in `refine/motion`), with which the pixel is solved again.
+//! exposures a single pixel does not determine a smooth texture. The picture does, because other exposures
+//! recorded the same place from elsewhere. So a scene ([`photocurrent_scene::mosaic`]) is fitted to the
+//! frames alone: one moving picture, one before a still ground, or pictures of tiles. Its prediction for a
+//! pixel is a pseudo-measurement in addition to the pixel's own events and frames (and to the predictions of
+//! its neighbours, as in `refine/motion`), with which the pixel is solved again.
 //!
-//! Is it right? Nothing is assumed. It counts only where it predicts the frames around ([`Gate`]), and for
-//! places of the scene that exposures saw: what lies between is its neighbourhood carried on. The pixel's own
-//! events, of which it knows nothing, judge it between frames ([`Trust`]). And before every round the whole
-//! is tried on pixels without one frame in three: they must predict those frames better with the picture than
-//! without, or it is left away; how far it is trusted is what predicts them best, region by region
-//! ([`Caution`](super::caution::Caution)); neighbours are tried in the same way.
+//! The picture is used only where it predicts neighbouring frames within their noise
+//! ([`PredictionGate`](photocurrent_scene::gate::PredictionGate)), and where at least `least_exposures`
+//! exposures recorded the place; elsewhere it is extrapolation. Between frames it is compared with the
+//! pixel's own events, to which it is not fitted ([`PseudoMeasurements`]). Before every round it is evaluated
+//! on pixels without one frame in three. They must predict those frames better with the picture than without,
+//! or it is left out. Its variance factor is the one that predicts them best, region by region
+//! ([`VarianceFactors`](super::variance_factor::VarianceFactors)). Predictions of neighbours are evaluated in
+//! the same way.
 //!
-//! Where most pixels never fire, the scene is fitted only around those that do: nobody asks for the others.
+//! Where most pixels never fire, the scene is fitted only around those that do.
 //!
 //! Limits: it needs the whole sensor at once; edges sharper than a pixel are blurred; with fewer than four
-//! frames nothing can be tried, and no picture is used. A long recording is fitted in parts of `most_values`
-//! frame values; an array so large that three frames are more than that has no picture.
+//! frames nothing can be evaluated, and no picture is used. A long recording is fitted in parts of
+//! `most_values` frame values; an array so large that three frames are more than that has no picture.
 
 mod scene;
 #[cfg(test)]
 mod tests;
 
-use super::again::{In, Out, Row, Solver};
-use super::caution::take_care;
+use super::again::{In, LoadedRow, Out, RefineSolver};
 use super::motion::Neighbours;
-use super::trust::{Posed, Trust, TrustParams};
+use super::pseudo_measurement::{PseudoMeasurementParams, PseudoMeasurements, SolverSensor};
+use super::variance_factor::scale_variances;
 use photocurrent_core::{Context, Decl, Extent, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
 use photocurrent_scene::activity::Activity;
 use photocurrent_scene::case::Case;
@@ -37,7 +39,7 @@ use photocurrent_scene::picture::PictureSetting;
 use photocurrent_sensor::map::Hint;
 use photocurrent_sensor::map::estimate::kept;
 use photocurrent_solve::SolveOptions;
-use scene::{OfRow, Pictures};
+use scene::{PredictedPictures, PredictedRowLight};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -47,18 +49,18 @@ use std::sync::Arc;
 #[serde(default)]
 #[schemars(extend("additionalProperties" = false))]
 pub struct Params {
-    /// How often neighbours are asked, the picture is judged and tracks are solved.
+    /// Rounds of predictions by neighbours and the picture, each followed by a solution of the tracks.
     #[schemars(range(min = 1, max = 10))]
     pub rounds: u32,
     /// Distance of the picture's coefficients, pixels.
     #[schemars(range(min = 0.25, max = 2.0))]
     pub pitch: f64,
-    /// So many frame values of pixels near events are fitted at a time, at 300 bytes each; of a longer
-    /// recording part after part.
+    /// Frame values of pixels near events that are fitted at a time, at 300 bytes each; a longer recording is
+    /// fitted part by part.
     #[schemars(range(min = 10_000))]
     pub most_values: u64,
-    /// The picture gives no hints for places that fewer exposures saw; one that saw a place for a part of its
-    /// time counts as that part.
+    /// Least number of exposures that recorded a place, for the picture to be used there; one that recorded
+    /// it for a part of its time counts as that part.
     #[schemars(range(min = 0.0))]
     pub least_exposures: f64,
     /// Neighbouring pixels along the motion are used as well, as `refine/motion` does.
@@ -84,15 +86,15 @@ impl Default for Params {
 
 /// The node.
 pub struct RefinePicture {
-    solver: Solver,
+    solver: RefineSolver,
     params: Params,
 }
 
 impl Node for RefinePicture {
     const DECL: Decl = Decl {
         kind: "refine/picture",
-        about: "Solves tracks again with a moving picture that explains the frames, and with what \
-                neighbouring pixels saw.",
+        about: "Solves tracks again with a moving picture that explains the frames, and with \
+                predictions from neighbouring pixels.",
         revision: 18,
         grain: Grain::Whole,
         draws: false,
@@ -120,7 +122,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        Ok(RefinePicture { solver: Solver::build(params.solver)?, params })
+        Ok(RefinePicture { solver: RefineSolver::build(params.solver)?, params })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
@@ -131,7 +133,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let meta =
             self.solver.meta(Self::DECL.kind, &input.tracks.meta, &input.events.meta, &input.frames.meta)?;
         cx.begin(cx.rows().len() as u64 * (1 + u64::from(self.params.rounds)), "rows");
-        let mut again = self.solver.take_in(meta, &input.events, &input.frames, &input.sensor, cx)?;
+        let mut again = self.solver.load_recording(meta, &input.events, &input.frames, &input.sensor, cx)?;
         let (fired, activity) = (again.fired(), again.activity());
         let (extent, sensor) = (again.meta.extent, again.sensor());
         let span = again.rows.first().map_or((0, 0), |row| row.span());
@@ -139,21 +141,28 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let width = extent.width as usize;
         let pictures = self.fitted(&input, &sensor, &activity, extent, cx)?;
         // Only pixels with events get pseudo-measurements.
-        let of_row = |row: &Row| {
+        let of_row = |row: &LoadedRow| {
             let columns: Vec<usize> = (0..width).filter(|x| !row.events_of(*x).is_empty()).collect();
-            pictures.of_row(row.row as usize, width, &columns)
+            pictures.row_light(row.row as usize, width, &columns)
         };
         let mut tracks = input.tracks.read(cx.rows())?;
-        let (motion, trust) = (&MotionParams::default(), &TrustParams::default());
+        let (motion, hint_params) = (&MotionParams::default(), &PseudoMeasurementParams::default());
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
-            let flow = Flow::of_tracks(&log, span, &activity, (motion, false));
-            let neighbours =
-                Neighbours { log: &log, flow: &flow, motion, doubt: 0.0, sensor: &sensor, step_ns, trust };
-            let of_neighbours = self.params.neighbours.then(|| neighbours.caution(&mut again));
+            let flow = Flow::estimate(&log, span, &activity, (motion, false));
+            let neighbours = Neighbours {
+                log: &log,
+                flow: &flow,
+                motion,
+                ambiguity: 0.0,
+                sensor: &sensor,
+                step_ns,
+                hint_params,
+            };
+            let of_neighbours = self.params.neighbours.then(|| neighbours.variance_factors(&mut again));
             let of_picture = |hold_out: bool,
-                              light: &OfRow,
-                              row: &Row,
+                              light: &PredictedRowLight,
+                              row: &LoadedRow,
                               x: usize,
                               threshold: f64,
                               hints: &mut Vec<Hint>| {
@@ -165,32 +174,39 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
                     left.as_deref().unwrap_or_else(|| row.frames_of(x)),
                     threshold,
                 );
-                let say = |t_ns: i64| pictures.predict(light, (x, row.row as usize), t_ns);
-                Trust::new(trust).hints(say, &log, row.span(), step_ns, &measured, hints);
+                let predict = |t_ns: i64| pictures.predict(light, (x, row.row as usize), t_ns);
+                PseudoMeasurements::new(hint_params).hints(
+                    predict,
+                    &log,
+                    row.span(),
+                    step_ns,
+                    &measured,
+                    hints,
+                );
             };
             // First without frames that are held out from the pixels: do they come out better with the
             // picture than without?
-            let caution = again.caution(trust, of_row, |light, row, x, threshold, hints| {
+            let factor = again.variance_factors(hint_params, of_row, |light, row, x, threshold, hints| {
                 of_picture(true, light, row, x, threshold, hints)
             });
-            if round == self.params.rounds && caution.trusts_some() {
+            if round == self.params.rounds && factor.uses_some() {
                 again.widen(of_row, |light, row, x, threshold, hints| {
                     of_picture(true, light, row, x, threshold, hints);
-                    take_care(hints, caution.at(x, row.row as usize));
+                    scale_variances(hints, factor.at(x, row.row as usize));
                 });
             }
             (tracks, _) =
                 again.solve(cx, round == self.params.rounds, of_row, |light, row, x, threshold, hints| {
-                    let caution = caution.at(x, row.row as usize);
-                    if caution.is_finite() {
+                    let factor = factor.at(x, row.row as usize);
+                    if factor.is_finite() {
                         of_picture(false, light, row, x, threshold, hints);
                     }
-                    take_care(hints, caution);
-                    if let Some(caution) = &of_neighbours {
-                        let mut said = Vec::new();
-                        // They were tried without the picture: with it they are no more exact than they say.
-                        neighbours.hints(row, x, threshold, (caution, 1.0), &mut said);
-                        join(hints, &said);
+                    scale_variances(hints, factor);
+                    if let Some(factor) = &of_neighbours {
+                        let mut predicted = Vec::new();
+                        // They were evaluated without the picture: with it their variance is not reduced.
+                        neighbours.hints(row, x, threshold, (factor, 1.0), &mut predicted);
+                        join(hints, &predicted);
                     }
                 })?;
         }
@@ -203,24 +219,24 @@ impl RefinePicture {
     fn fitted(
         &self,
         input: &In,
-        sensor: &Posed,
+        sensor: &SolverSensor,
         activity: &Activity,
         extent: Extent,
         cx: &Context,
-    ) -> Result<Pictures, NodeError> {
+    ) -> Result<PredictedPictures, NodeError> {
         let case = Case::read(Some(&input.events), Some(&input.frames), &input.sensor)?;
         let setting = PictureSetting {
             pitch: self.params.pitch,
             most_values: self.params.most_values as usize,
             ..PictureSetting::default()
         };
-        let asked = |span: (i64, i64)| activity.pixels(span, extent);
-        let pictures = Pictures::fit(
+        let active = |span: (i64, i64)| activity.active_pixels(span, extent);
+        let pictures = PredictedPictures::fit(
             &case,
             &sensor.model,
             &setting,
             (self.params.solver.knot_spacing.ns(), self.params.least_exposures),
-            asked,
+            active,
         );
         drop(case);
         if let Err(why) = &pictures {
@@ -230,7 +246,8 @@ impl RefinePicture {
     }
 }
 
-/// Adds hints to others, both in order of time: at one instant the two become one, each by its weight.
+/// Merges pseudo-measurements, both lists in order of time: two at one instant become one, weighted by their
+/// variances.
 fn join(hints: &mut Vec<Hint>, others: &[Hint]) {
     hints.extend_from_slice(others);
     hints.sort_by_key(|hint| hint.t_ns);

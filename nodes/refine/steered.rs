@@ -1,7 +1,7 @@
 //! `refine/steered`: tracks smoothed along the motion, without solving anything again.
 //!
 //! Idea: what moves draws lines of equal light through space and time. The structure tensor of the film of
-//! log light, the mean of its gradients' squares around a point, says how much light changes in every
+//! log light, the mean of its gradients' squares around a point, measures how much light changes in every
 //! direction there: large across such a line, nothing along it. So each pixel's light is averaged under a
 //! Gaussian that reaches as far as light changes by no more than the noise: along an edge and its motion, not
 //! across them. Where light is the same in no direction the Gaussian closes by itself, and the pixel keeps
@@ -10,7 +10,7 @@
 //! Only moving pixels are touched, and knots stay where they are: each gets the film's correction at its
 //! instant (of a held value, the mean over the hold).
 //!
-//! Limits: it knows nothing of events and frames, so it removes noise and with it whatever is finer than the
+//! Limits: it uses neither events nor frames, so it removes noise and with it whatever is finer than the
 //! Gaussian. It is meant for rough solutions; `pipelines/ablations/steered.toml` shows what it does to better
 //! ones. Motion of more than about a pixel in a step of the film is not seen. The film takes eight bytes for
 //! each pixel and step of the rows that are worked on.
@@ -47,8 +47,8 @@ pub struct Params {
     /// Pictures of the film lie so far apart: about the time in which things move by half a pixel.
     #[schemars(extend("x-min" = "10 us", "x-max" = "1 s"))]
     pub step: Duration,
-    /// Pixels whose light ranges over less stand still and stay bit by bit as they are, natural-log units:
-    /// below a threshold of the sensor.
+    /// Range of light, natural-log units, below which a pixel counts as still and its track is unchanged:
+    /// less than a threshold of the sensor.
     #[schemars(range(min = 0.0))]
     pub least_change: f64,
 }
@@ -132,8 +132,8 @@ in   = { tracks = "solve.tracks" }
         check(&meta)?;
         cx.begin(cx.rows().len() as u64, "rows");
         let band = input.tracks.read(cx.rows().with_halo(HALO, meta.extent.rows()))?;
-        let film = Film::new(&band, &meta, self.params.step.ns());
-        let kernel = Kernel::new(&self.params);
+        let film = RowFilm::new(&band, &meta, self.params.step.ns());
+        let kernel = SteeredKernel::new(&self.params);
         let rows: Result<Vec<TrackBand>, NodeError> = cx
             .rows()
             .iter()
@@ -147,12 +147,12 @@ in   = { tracks = "solve.tracks" }
 /// Rows next to a row that its values depend on: gradients reach one further than they are pooled.
 const HALO: u32 = POOLED as u32 + 1;
 
-/// What is said of smoothed tracks: how well they are known is not found out.
+/// Metadata of smoothed tracks: their standard deviations are not known.
 fn without_sigma(tracks: &TracksMeta) -> TracksMeta {
     TracksMeta { has_sigma: false, ..tracks.clone() }
 }
 
-/// Refuses colours: one film of log light is looked at.
+/// Refuses colours: one film of log light is smoothed.
 fn check(tracks: &TracksMeta) -> Result<(), NodeError> {
     if tracks.colour == Colour::Mono {
         return Ok(());
@@ -164,8 +164,8 @@ fn check(tracks: &TracksMeta) -> Result<(), NodeError> {
 impl RefineSteered {
     fn smooth_row(
         &self,
-        film: &Film,
-        kernel: &Kernel,
+        film: &RowFilm,
+        kernel: &SteeredKernel,
         band: &TrackBand,
         row: u32,
         meta: &TracksMeta,
@@ -173,7 +173,7 @@ impl RefineSteered {
     ) -> Result<TrackBand, NodeError> {
         let mut out = TrackBand::begin(row, meta.extent.width);
         let y = (row - film.rows.start) as usize;
-        let tensors = Tensors::of_row(film, y);
+        let tensors = RowTensors::from_film(film, y);
         let mut corrections = vec![0.0; film.count];
         for x in 0..meta.extent.width {
             let track = band.pixel(x, row);
@@ -182,16 +182,18 @@ impl RefineSteered {
                 continue;
             }
             for (n, correction) in corrections.iter_mut().enumerate() {
-                *correction = kernel.mean(film, &tensors.at(x as usize, n), (x as usize, y, n))
+                *correction = kernel.weighted_mean(film, &tensors.at(x as usize, n), (x as usize, y, n))
                     - film.at(x as usize, y)[n];
             }
             let knot = |k: usize| {
                 let t = track.t[k];
                 let correction = match meta.between {
-                    Between::LogLinear => film.between(&corrections, t),
-                    Between::Hold => {
-                        film.mean(&corrections, t, track.t.get(k + 1).copied().unwrap_or(meta.span.end.0))
-                    }
+                    Between::LogLinear => film.interpolate(&corrections, t),
+                    Between::Hold => film.mean_over_span(
+                        &corrections,
+                        t,
+                        track.t.get(k + 1).copied().unwrap_or(meta.span.end.0),
+                    ),
                 };
                 (t, (f64::from(track.photocurrent[k]) * exp(correction)) as f32)
             };
@@ -203,20 +205,20 @@ impl RefineSteered {
 }
 
 /// Log light of some rows at steady instants, a pixel's instants side by side. Its rows count from 0.
-struct Film {
+struct RowFilm {
     rows: Rows,
     width: usize,
     start_ns: i64,
     step_ns: i64,
     count: usize,
     values: Vec<f64>,
-    /// Pixels with a track; the others are unknown and are not asked.
+    /// Pixels with a track; the others are skipped.
     known: Vec<bool>,
 }
 
-impl Film {
+impl RowFilm {
     /// Of tracks over their span.
-    fn new(band: &TrackBand, meta: &TracksMeta, step_ns: i64) -> Film {
+    fn new(band: &TrackBand, meta: &TracksMeta, step_ns: i64) -> RowFilm {
         let count = (meta.span.end.0.saturating_sub(meta.span.start.0) / step_ns + 1) as usize;
         let (start_ns, width) = (meta.span.start.0, meta.extent.width);
         let row_of = |y: u32| -> Vec<f64> {
@@ -250,7 +252,7 @@ impl Film {
         };
         let values: Vec<Vec<f64>> = band.rows().iter().into_par_iter().map(row_of).collect();
         let known = band.offsets().windows(2).map(|pixel| pixel[0] < pixel[1]).collect();
-        Film {
+        RowFilm {
             rows: band.rows(),
             width: width as usize,
             start_ns,
@@ -279,7 +281,7 @@ impl Film {
     }
 
     /// Values of the film's instants at any instant, linear between.
-    fn between(&self, values: &[f64], t_ns: i64) -> f64 {
+    fn interpolate(&self, values: &[f64], t_ns: i64) -> f64 {
         let place = ((t_ns - self.start_ns) as f64 / self.step_ns as f64).clamp(0.0, (self.count - 1) as f64);
         let (before, share) = (place as usize, place - (place as usize) as f64);
         let after = usize::min(before + 1, self.count - 1);
@@ -288,17 +290,17 @@ impl Film {
 
     /// Their mean from an instant to another: of the two ends and of all instants in the middle, by
     /// trapezoids.
-    fn mean(&self, values: &[f64], from_ns: i64, to_ns: i64) -> f64 {
+    fn mean_over_span(&self, values: &[f64], from_ns: i64, to_ns: i64) -> f64 {
         if to_ns <= from_ns {
-            return self.between(values, from_ns);
+            return self.interpolate(values, from_ns);
         }
         let next = (from_ns - self.start_ns).max(-1).div_euclid(self.step_ns) + 1;
         let inside =
             (next..self.count as i64).map(|n| self.start_ns + n * self.step_ns).take_while(|&t| t < to_ns);
-        let mut last = (from_ns, self.between(values, from_ns));
+        let mut last = (from_ns, self.interpolate(values, from_ns));
         let mut sum = 0.0;
         for t in inside.chain([to_ns]) {
-            let value = self.between(values, t);
+            let value = self.interpolate(values, t);
             sum += 0.5 * (last.1 + value) * (t - last.0) as f64;
             last = (t, value);
         }
@@ -306,26 +308,26 @@ impl Film {
     }
 }
 
-/// Gradients are pooled over so many pixels to each side.
+/// Pixels to each side over which gradients are pooled,
 const POOLED: usize = 2;
-/// And over so many steps of the film.
+/// and steps of the film.
 const POOLED_STEPS: usize = 2;
 
 /// A symmetric 3 x 3 matrix: xx, xy, yy, xt, yt, tt.
-type Tensor = [f64; 6];
+type StructureTensor = [f64; 6];
 
 /// The structure tensors of a row: mean products of gradients, natural-log units per pixel and per step of
 /// the film.
-struct Tensors {
+struct RowTensors {
     count: usize,
-    values: Vec<Tensor>,
+    values: Vec<StructureTensor>,
 }
 
-impl Tensors {
-    fn of_row(film: &Film, y: usize) -> Tensors {
+impl RowTensors {
+    fn from_film(film: &RowFilm, y: usize) -> RowTensors {
         let (width, height, count) = (film.width, film.rows.len(), film.count);
         // Products summed over the neighbouring rows, and over neighbouring instants.
-        let mut columns: Vec<Vec<Tensor>> = Vec::with_capacity(width);
+        let mut columns: Vec<Vec<StructureTensor>> = Vec::with_capacity(width);
         let (top, bottom) = (y.saturating_sub(POOLED), usize::min(y + POOLED, height - 1));
         for x in 0..width {
             let mut column = vec![[0.0; 6]; count];
@@ -333,7 +335,7 @@ impl Tensors {
                 add_products(film, x, row, &mut column);
             }
             let pooled = |n: usize| {
-                mean(&column[n.saturating_sub(POOLED_STEPS)..usize::min(n + POOLED_STEPS + 1, count)])
+                mean_tensor(&column[n.saturating_sub(POOLED_STEPS)..usize::min(n + POOLED_STEPS + 1, count)])
             };
             columns.push((0..count).map(pooled).collect());
         }
@@ -349,15 +351,15 @@ impl Tensors {
                 values.push(tensor.map(|sum| sum / (rows * around.len() as f64)));
             }
         }
-        Tensors { count, values }
+        RowTensors { count, values }
     }
 
-    fn at(&self, x: usize, n: usize) -> Tensor {
+    fn at(&self, x: usize, n: usize) -> StructureTensor {
         self.values[x * self.count + n]
     }
 }
 
-fn mean(tensors: &[Tensor]) -> Tensor {
+fn mean_tensor(tensors: &[StructureTensor]) -> StructureTensor {
     let mut sum = [0.0; 6];
     tensors.iter().for_each(|tensor| sum.iter_mut().zip(tensor).for_each(|(sum, value)| *sum += value));
     sum.map(|sum| sum / tensors.len() as f64)
@@ -365,7 +367,7 @@ fn mean(tensors: &[Tensor]) -> Tensor {
 
 /// Adds the products of a pixel's gradients at all instants; a pixel next to an unknown one has no gradient
 /// in that direction.
-fn add_products(film: &Film, x: usize, y: usize, column: &mut [Tensor]) {
+fn add_products(film: &RowFilm, x: usize, y: usize, column: &mut [StructureTensor]) {
     let (width, height, count) = (film.width, film.rows.len(), film.count);
     if !film.known[film.pixel(x, y)] {
         return;
@@ -390,24 +392,24 @@ fn add_products(film: &Film, x: usize, y: usize, column: &mut [Tensor]) {
     }
 }
 
-/// The Gaussian is cut at so many pixels.
+/// Radius of the Gaussian, pixels,
 const PIXELS: usize = 2;
-/// And at so many steps of the film.
+/// and steps of the film.
 const STEPS: usize = 4;
-/// Weights below exp(-half of this) count as none.
+/// Weights below exp(-half of this) count as 0.
 const NEGLIGIBLE: f64 = 18.0;
 
 /// The Gaussian `exp(-D' (J / noise^2 + window) D / 2)` over distances D in pixels and steps.
-struct Kernel {
+struct SteeredKernel {
     per_noise: f64,
     window: f64,
     window_steps: f64,
 }
 
-impl Kernel {
-    fn new(params: &Params) -> Kernel {
+impl SteeredKernel {
+    fn new(params: &Params) -> SteeredKernel {
         let steps = params.step.ns() as f64 / params.reach_time.ns() as f64;
-        Kernel {
+        SteeredKernel {
             per_noise: 1.0 / (params.noise * params.noise),
             window: 1.0 / (params.reach * params.reach),
             window_steps: steps * steps,
@@ -415,7 +417,12 @@ impl Kernel {
     }
 
     /// Mean log light around a pixel and instant.
-    fn mean(&self, film: &Film, tensor: &Tensor, (x, y, n): (usize, usize, usize)) -> f64 {
+    fn weighted_mean(
+        &self,
+        film: &RowFilm,
+        tensor: &StructureTensor,
+        (x, y, n): (usize, usize, usize),
+    ) -> f64 {
         let [xx, xy, yy, xt, yt, tt] = tensor.map(|j| j * self.per_noise);
         let (xx, yy, tt) = (xx + self.window, yy + self.window, tt + self.window_steps);
         let (mut sum, mut weights) = (0.0, 0.0);

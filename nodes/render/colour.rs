@@ -21,10 +21,10 @@ use photocurrent_core::{
 };
 use photocurrent_scene::activity::Activity;
 use photocurrent_scene::alignment::Alignment;
-use photocurrent_scene::film::{Fired, LogTracks, STEP_NS};
+use photocurrent_scene::film::{EventTimes, LogTracks, STEP_NS};
 use photocurrent_scene::flow::{Flow, MotionParams};
-use photocurrent_scene::grey::Grey;
-use photocurrent_scene::hue::{Hues, Path};
+use photocurrent_scene::grey::GreyFrames;
+use photocurrent_scene::hue::{Hues, MotionPath};
 use photocurrent_scene::image::Image;
 use photocurrent_solve::pixel_events::clock_offset;
 use rayon::prelude::*;
@@ -82,7 +82,7 @@ impl RenderColour {
         captured: &FramesMeta,
         tracks: &TracksMeta,
         (sensor, is_aligned): (&Sensor, bool),
-    ) -> Result<(Grey, FramesMeta), NodeError> {
+    ) -> Result<(GreyFrames, FramesMeta), NodeError> {
         if frames.colour != Colour::Mono || tracks.colour != Colour::Mono {
             let found = if frames.colour == Colour::Mono { tracks.colour } else { frames.colour };
             return Err(NodeError::usage(format!("render/colour gives grey a colour, and this is {found}"))
@@ -111,7 +111,7 @@ impl RenderColour {
                 frames.extent
             )));
         }
-        let grey = Grey::new(frames.extent, captured, sensor)?;
+        let grey = GreyFrames::new(frames.extent, captured, sensor)?;
         if is_aligned && grey.ratio != 1 {
             return Err(NodeError::usage(format!(
                 "tracks are {}, frames are {}: with an alignment both have the same pixels",
@@ -153,10 +153,10 @@ impl RenderColour {
             row.x.iter().zip(row.t).filter_map(at).collect::<Vec<_>>()
         });
         let activity = Activity::new(extent, span, places);
-        let fired = Arc::new(Fired::new((0..extent.pixels()).map(|_| Vec::new())));
+        let fired = Arc::new(EventTimes::new((0..extent.pixels()).map(|_| Vec::new())));
         cx.advance(0)?;
         let log = LogTracks::new(extent, input.tracks.read(extent.rows())?, &fired);
-        let flow = Flow::of_tracks(&log, span, &activity, (&MotionParams::default(), false));
+        let flow = Flow::estimate(&log, span, &activity, (&MotionParams::default(), false));
         Ok((log, flow))
     }
 }
@@ -241,13 +241,13 @@ sensor   = "sensor"
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let own = &input.frames.meta;
-        let array = input.alignment.as_ref().map(Alignment::of).transpose()?;
+        let array = input.alignment.as_ref().map(Alignment::from_map).transpose()?;
         let (grey, meta) =
             Self::plan_of(own, &input.captured.meta, &input.tracks.meta, (&input.sensor, array.is_some()))?;
         cx.begin(input.frames.len() as u64, "pictures");
         let gain = input.sensor.need(input.sensor.frames.gain, "frames.gain", Self::DECL.kind)?;
         let (tracks, flow) = Self::motion(&input, array.as_ref(), cx)?;
-        let path = Path::new(&flow);
+        let path = MotionPath::new(&flow);
         let hues = Hues::new(grey, &input.captured, (&tracks, gain), &path, array.as_ref())?;
         let (count, size) = (input.frames.len(), meta.extent.height as usize * meta.row_values());
         let mut block = FrameBlock::zeros(0..count, meta.extent.rows(), meta.row_values());
@@ -293,7 +293,7 @@ impl Picture<'_> {
     fn divide(
         &self,
         hues: &Hues,
-        path: &Path<'_>,
+        path: &MotionPath<'_>,
         picture: &mut [f32],
         mut sigma: Option<(Vec<f32>, &mut [f32])>,
     ) {
@@ -311,7 +311,7 @@ impl Picture<'_> {
         let row_values = picture.len() / (height * grey.ratio as usize);
         for (n, ratios) in hues.ratios(&light, &mids, path).iter().enumerate() {
             for k in 0..width * height {
-                let (value, row) = grey.place(n, ((k % width) as u32, (k / width) as u32));
+                let (value, row) = grey.value_place(n, ((k % width) as u32, (k / width) as u32));
                 let (at, ratio) = (row as usize * row_values + value as usize, f64::from(ratios.values[k]));
                 picture[at] = grey.dn(above(k) * ratio, value, row) as f32;
                 if let Some((stated, spread)) = &mut sigma {
@@ -327,7 +327,7 @@ impl Picture<'_> {
 mod tests {
     use super::*;
     use photocurrent_core::{Exposure, Extent, TimeSpan, TrackBand, testing};
-    use photocurrent_scene::grey::Clipped;
+    use photocurrent_scene::grey::SaturatedMean;
 
     const EVENTS: Extent = Extent { width: 6, height: 5 };
     const END_NS: i64 = 12_000_000;
@@ -385,9 +385,11 @@ mod tests {
             let frames = out.unwrap().frames;
             assert_eq!((frames.meta.extent, frames.meta.colour), (captured.extent, captured.colour));
             assert_eq!(frames.meta.times, grey.meta.times);
-            let mixture = Grey::new(EVENTS, &frames.meta, &sensor()).unwrap();
-            let (found, stated) =
-                (mixture.read(&frames, Clipped::Mean).unwrap(), grey.read_rows(EVENTS.rows()).unwrap().dn);
+            let mixture = GreyFrames::new(EVENTS, &frames.meta, &sensor()).unwrap();
+            let (found, stated) = (
+                mixture.read(&frames, SaturatedMean::Mean).unwrap(),
+                grey.read_rows(EVENTS.rows()).unwrap().dn,
+            );
             for (found, stated) in found.iter().zip(&stated) {
                 assert!((found - stated).abs() < 2e-4 * stated, "{colour}: {found} for {stated}");
             }

@@ -1,8 +1,8 @@
 //! `render/grey`: captured frames as the event pixels see them, one grey value for each.
 //!
 //! A photodiode without a filter sees the light of all values of a frame that lie on it, as a mixture
-//! ([`Grey`]). Solved with the mixture, every event counts once, and counts for what it saw; `render/colour`
-//! gives what was solved its colours again.
+//! ([`GreyFrames`]). Solved with the mixture, every event counts once, and counts for what it saw;
+//! `render/colour` gives what was solved its colours again.
 //!
 //! Limits: a value that is saturated counts as it is, so that the mixture is too small there; what the
 //! description states of the noise of a value is that of the mixture too, which is less.
@@ -11,7 +11,7 @@ use photocurrent_core::{
     Context, Decl, EventStream, Extent, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas,
     Sensor,
 };
-use photocurrent_scene::grey::{Clipped, Grey};
+use photocurrent_scene::grey::{GreyFrames, SaturatedMean};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -48,8 +48,12 @@ pub struct RenderGrey;
 ///
 /// # Errors
 /// When the frames' extent is no whole multiple of the events', or each event pixel has a filter of its own.
-fn plan_of(extent: Extent, frames: &FramesMeta, sensor: &Sensor) -> Result<(Grey, FramesMeta), NodeError> {
-    let grey = Grey::new(extent, frames, sensor)?;
+fn plan_of(
+    extent: Extent,
+    frames: &FramesMeta,
+    sensor: &Sensor,
+) -> Result<(GreyFrames, FramesMeta), NodeError> {
+    let grey = GreyFrames::new(extent, frames, sensor)?;
     if grey.is_behind_filters() {
         return Err(NodeError::usage(format!(
             "frames are {}, with the cell of the mosaic larger than an event pixel: none sees a mixture",
@@ -96,6 +100,6 @@ in   = { events = "recording.events", frames = "grey", sensor = "sensor" }
 
     fn run(&self, input: In, _: &Context) -> Result<Out, NodeError> {
         let (grey, _) = plan_of(input.events.meta.extent, &input.frames.meta, &input.sensor)?;
-        Ok(Out { frames: grey.frames(&input.frames, Clipped::Mean)? })
+        Ok(Out { frames: grey.frames(&input.frames, SaturatedMean::Mean)? })
     }
 }

@@ -1,22 +1,22 @@
-//! The numbers of the diagnosis' decision, computed anew from simulated recordings with cross-validation.
+//! Recomputes the numbers of the diagnosis' decision from simulated recordings, with cross-validation.
 //!
-//! A developer's program: `make calibrate` runs it for each kind of scene. Users run the built-in numbers,
-//! which `data/diagnosis` holds the training sets of.
+//! A developer's program: `make calibrate` runs it for each kind of scene. Users run the built-in numbers;
+//! `data/diagnosis` has the training sets.
 
 mod example;
 mod fit;
 mod simulated;
 
 use clap::{Parser, ValueEnum};
-use example::{Example, example};
-use fit::{Validation, calibrate as model_of, validate};
+use example::{CalibrationExample, example};
+use fit::{ValidationScore, calibrate as model_of, validate};
 use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Extent;
-use photocurrent_diagnosis::decide::Decision;
-use photocurrent_diagnosis::decide::model::Model;
+use photocurrent_diagnosis::decide::DecisionThresholds;
+use photocurrent_diagnosis::decide::model::DecisionModel;
 use rayon::prelude::*;
 use serde::Serialize;
-use simulated::{Kind, MadeSetting};
+use simulated::{SceneModelKind, SimulationSetting};
 use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -79,20 +79,20 @@ impl SceneKind {
         }
     }
 
-    fn setting(self, size: Option<Extent>) -> MadeSetting {
-        let usual = MadeSetting::of(match self {
-            SceneKind::Picture => Kind::Picture,
-            SceneKind::Parts => Kind::Parts,
-            SceneKind::Given => Kind::Given,
-            SceneKind::Pixels => Kind::Pixels,
-            SceneKind::Joint => Kind::Joint,
+    fn setting(self, size: Option<Extent>) -> SimulationSetting {
+        let usual = SimulationSetting::for_model(match self {
+            SceneKind::Picture => SceneModelKind::Picture,
+            SceneKind::Parts => SceneModelKind::Parts,
+            SceneKind::Given => SceneModelKind::Given,
+            SceneKind::Pixels => SceneModelKind::Pixels,
+            SceneKind::Joint => SceneModelKind::Joint,
         });
-        MadeSetting { extent: size.unwrap_or(usual.extent), ..usual }
+        SimulationSetting { extent: size.unwrap_or(usual.extent), ..usual }
     }
 }
 
 fn main() -> ExitCode {
-    match run(&Options::parse(), &mut std::io::stderr()) {
+    match calibrate_from_options(&Options::parse(), &mut std::io::stderr()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(why) => {
             // Nobody is left to read it.
@@ -104,24 +104,23 @@ fn main() -> ExitCode {
 
 /// The file `decision.json`.
 #[derive(Serialize)]
-struct Calibrated {
+struct CalibrationFile {
     seed: u64,
     size: String,
     /// Recordings without a scene.
     without: usize,
     /// Of each kind of scene.
-    models: BTreeMap<String, Fitted>,
+    models: BTreeMap<String, FittedModel>,
 }
 
 #[derive(Serialize)]
-struct Fitted {
-    model: Model,
-    validation: Validation,
+struct FittedModel {
+    model: DecisionModel,
+    validation: ValidationScore,
 }
 
-/// Simulates recordings one by one, so that a stopped run goes on where it was, then fits and validates the
-/// models.
-fn run(options: &Options, log: &mut impl Write) -> Result<(), String> {
+/// Simulates recordings one by one, so that a stopped run can continue, then fits and validates the models.
+fn calibrate_from_options(options: &Options, log: &mut impl Write) -> Result<(), String> {
     let setting = options.scene.setting(options.size);
     let size = format!("{}x{}", setting.extent.width, setting.extent.height);
     let examples = examples(options, &setting, &size)?;
@@ -129,25 +128,31 @@ fn run(options: &Options, log: &mut impl Write) -> Result<(), String> {
     let lines: Vec<String> =
         lines.collect::<Result<_, _>>().map_err(|error| format!("examples.jsonl: {error}"))?;
     write(&options.out.join("examples.jsonl"), (lines.join("\n") + "\n").as_bytes())?;
-    let mut kinds: BTreeMap<String, Vec<Example>> = BTreeMap::new();
+    let mut kinds: BTreeMap<String, Vec<CalibrationExample>> = BTreeMap::new();
     for one in &examples {
         let of_scene = |scene: &str| if scene.is_empty() { options.scene.name() } else { scene }.to_owned();
         let kind = one.facts.as_ref().map_or("none".to_owned(), |facts| of_scene(&facts.scene));
         kinds.entry(kind).or_default().push(one.clone());
     }
     let without = kinds.remove("none").map_or(0, |none| none.len());
-    let fit = |(kind, of_kind): (String, Vec<Example>)| {
-        let model = model_of(&of_kind.iter().collect::<Vec<&Example>>());
-        (kind, Fitted { model, validation: validate(&of_kind, options.folds as usize, &Decision::default()) })
+    let fit = |(kind, of_kind): (String, Vec<CalibrationExample>)| {
+        let model = model_of(&of_kind.iter().collect::<Vec<&CalibrationExample>>());
+        (
+            kind,
+            FittedModel {
+                model,
+                validation: validate(&of_kind, options.folds as usize, &DecisionThresholds::default()),
+            },
+        )
     };
-    let models: BTreeMap<String, Fitted> = kinds.into_iter().map(fit).collect();
+    let models: BTreeMap<String, FittedModel> = kinds.into_iter().map(fit).collect();
     let mut text: String = models.iter().map(|(kind, fitted)| report(kind, &fitted.validation)).collect();
     let (count, out) = (examples.len(), options.out.display());
     text += &format!(
         "{count} recordings, {without} of them without a scene; \
          the models are in {out}/decision.json, what they were calibrated on in {out}/examples.jsonl\n"
     );
-    let calibrated = Calibrated { seed: options.seed, size, without, models };
+    let calibrated = CalibrationFile { seed: options.seed, size, without, models };
     let document =
         serde_json::to_string_pretty(&calibrated).map_err(|error| format!("decision.json: {error}"))?;
     write(&options.out.join("decision.json"), document.as_bytes())?;
@@ -159,12 +164,16 @@ fn run(options: &Options, log: &mut impl Write) -> Result<(), String> {
 }
 
 /// The examples of a seed: read where an earlier run wrote them, simulated where not.
-fn examples(options: &Options, setting: &MadeSetting, size: &str) -> Result<Vec<Example>, String> {
+fn examples(
+    options: &Options,
+    setting: &SimulationSetting,
+    size: &str,
+) -> Result<Vec<CalibrationExample>, String> {
     let folder = options.out.join(format!("made-{}-{size}-{}", options.scene.name(), options.seed));
     let failed = |error: std::io::Error| format!("{}: cannot make the folder: {error}", folder.display());
     std::fs::create_dir_all(&folder).map_err(failed)?;
     let bar = bar(options);
-    let one = |number: u64| -> Result<Option<Example>, String> {
+    let one = |number: u64| -> Result<Option<CalibrationExample>, String> {
         let path = folder.join(format!("{number:05}.json"));
         // Effects that cannot be combined make no recording; the next number makes another.
         let found = match stored(&path) {
@@ -177,29 +186,28 @@ fn examples(options: &Options, setting: &MadeSetting, size: &str) -> Result<Vec<
         bar.inc(1);
         Ok(found)
     };
-    let found: Vec<Option<Example>> =
+    let found: Vec<Option<CalibrationExample>> =
         (0..options.recordings).into_par_iter().map(one).collect::<Result<_, _>>()?;
     bar.finish_and_clear();
     Ok(found.into_iter().flatten().collect())
 }
 
-fn stored(path: &Path) -> Option<Example> {
-    let Example { truth, found, .. } = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
-    Some(Example::new(truth, found))
+fn stored(path: &Path) -> Option<CalibrationExample> {
+    let CalibrationExample { truth, found, .. } = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
+    Some(CalibrationExample::new(truth, found))
 }
 
-fn store(path: &Path, example: Example) -> Result<Example, String> {
+fn store(path: &Path, example: CalibrationExample) -> Result<CalibrationExample, String> {
     let text = serde_json::to_vec(&example).map_err(|error| format!("{}: {error}", path.display()))?;
     write(path, &text)?;
     Ok(example)
 }
 
-fn report(kind: &str, found: &Validation) -> String {
+fn report(kind: &str, found: &ValidationScore) -> String {
     let share = |part: usize, of: usize| 100.0 * part as f64 / f64::max(of as f64, 1.0);
     let mut text = format!("{kind}: cross-validated, {} recordings:\n", found.recordings);
     let (count, claimed) = found.nothing;
-    text +=
-        &format!("  nothing    {count:4}  something claimed in {claimed} ({:.1} %)\n", share(claimed, count));
+    text += &format!("  no effect  {count:4}  findings in {claimed} ({:.1} %)\n", share(claimed, count));
     let (count, claimed, first, set) = found.one;
     text += &format!(
         "  one        {count:4}  claimed {claimed}, first {first} ({:.0} %), in the set {set} ({:.0} %), \
@@ -262,7 +270,7 @@ mod tests {
             let arguments =
                 ["calibrate", "--recordings", count, "--size", "24x18", "--folds", "2", "-o", out];
             let mut log = Vec::new();
-            run(&Options::parse_from(arguments), &mut log).unwrap();
+            calibrate_from_options(&Options::parse_from(arguments), &mut log).unwrap();
             String::from_utf8(log).unwrap()
         };
         let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();

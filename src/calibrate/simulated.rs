@@ -1,70 +1,70 @@
-//! Recordings that a decision is calibrated on: simulated scenes and sensors
-//! ([`photocurrent_diagnosis::scenes`]) with nothing, one effect, two, or what is in no catalogue, each of
-//! random size down to what hardly shows; frames with and without noise that nobody stated.
+//! Simulates recordings for the calibration: random scenes and sensors ([`photocurrent_diagnosis::scenes`])
+//! with no effect, one, two, or an uncatalogued fault, each of random size down to the detection limit;
+//! frames with and without unstated noise.
 //!
-//! Everything follows from a seed and a number. What is in no catalogue is made without any effect's code:
-//! pixels of two sensors side by side, or stamps moved by what their events depend on.
+//! Everything follows from a seed and an index. Uncatalogued faults are made without any effect's code:
+//! pixels of two sensors side by side, or stamps shifted by a covariate of their events.
 
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
-use photocurrent_diagnosis::candidates::{CANDIDATES, Scales, Signs, Trial};
+use photocurrent_diagnosis::candidates::{CANDIDATES, EffectScales, Signs, Trial};
 use photocurrent_diagnosis::covariates::Covariate;
-use photocurrent_diagnosis::scenes::MadeUp;
-use photocurrent_diagnosis::targets::Sketches;
+use photocurrent_diagnosis::scenes::SimulatedScene;
+use photocurrent_diagnosis::targets::SketchFamily;
 use photocurrent_scene::case::{Case, PixelEvent, PixelEvents};
 use photocurrent_scene::nominal::Nominal;
-use photocurrent_scene::target::Form;
+use photocurrent_scene::target::TargetForm;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// What is wrong with a recording.
+/// The faults of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Fault {
+pub struct InjectedFault {
     /// Effects of the catalogue: id, parameter, effect size.
     pub effects: Vec<(String, String, f64)>,
-    /// What is in no catalogue: the covariate it depends on.
+    /// The covariate of an uncatalogued fault.
     pub other: Option<Covariate>,
     /// Frames have noise that is not stated.
     pub is_noisy: bool,
 }
 
-/// A recording and what is wrong with it.
-pub struct Made {
+/// A recording and its faults.
+pub struct SimulatedRecording {
     /// The recording.
     pub case: Case,
-    /// What is wrong.
-    pub truth: Fault,
-    /// What is known of its scene, and where in the ranges of what is free of it the scene is, as shares;
-    /// none where nothing is known.
-    pub target: Option<(Arc<dyn Form>, Vec<f64>)>,
+    /// The faults.
+    pub truth: InjectedFault,
+    /// The family of its scene where that is known, and the true place in the ranges of its free parameters,
+    /// as shares.
+    pub target: Option<(Arc<dyn TargetForm>, Vec<f64>)>,
 }
 
-/// What is known of the scenes.
+/// Scene model of the diagnosis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Kind {
-    /// Nothing: a picture is fitted.
+pub enum SceneModelKind {
+    /// Unknown: a picture is fitted.
     #[default]
     Picture,
-    /// Nothing, and they do not move as one.
+    /// Unknown, and without a common motion.
     Parts,
-    /// All but a few numbers: known targets.
+    /// Known but for a few parameters: known targets.
     Given,
-    /// Nothing, whether they move as one or not: the light of each pixel is free.
+    /// Unknown, with or without a common motion: the light of each pixel is free.
     Pixels,
-    /// Nothing: a picture is fitted to frames and events together.
+    /// Unknown: a picture is fitted to frames and events together.
     Joint,
 }
 
-/// How recordings are made.
+/// Settings of the simulation.
 #[derive(Clone, Copy, Debug)]
-pub struct MadeSetting {
+pub struct SimulationSetting {
     /// What is known of the scenes.
-    pub kind: Kind,
+    pub kind: SceneModelKind,
     /// Size of the array.
     pub extent: Extent,
     /// Length, seconds.
     pub duration_s: f64,
-    /// Shares with one effect, with two, and with what is in no catalogue; the rest has none.
+    /// Shares of recordings with one effect, with two, and with an uncatalogued fault; the rest has none.
     pub shares: [f64; 3],
     /// Share of recordings whose frames have noise.
     pub noisy: f64,
@@ -72,25 +72,26 @@ pub struct MadeSetting {
     pub effect_sizes: (f64, f64),
 }
 
-impl MadeSetting {
-    /// How recordings of a kind of scene are made: only stronger effects show where scenes do not move as
-    /// one.
-    pub fn of(kind: Kind) -> MadeSetting {
-        let usual = MadeSetting { kind, ..MadeSetting::default() };
+impl SimulationSetting {
+    /// Settings for a scene model: only larger effects are detectable where scenes do not move as one.
+    pub fn for_model(kind: SceneModelKind) -> SimulationSetting {
+        let usual = SimulationSetting { kind, ..SimulationSetting::default() };
         match kind {
-            Kind::Picture => usual,
-            Kind::Joint => MadeSetting { noisy: 0.7, effect_sizes: (0.03, 1.0), ..usual },
-            Kind::Parts => MadeSetting { effect_sizes: (0.2, 2.0), ..usual },
-            Kind::Pixels => MadeSetting { effect_sizes: (0.1, 1.5), ..usual },
-            Kind::Given => MadeSetting { extent: Extent { width: 40, height: 30 }, duration_s: 0.1, ..usual },
+            SceneModelKind::Picture => usual,
+            SceneModelKind::Joint => SimulationSetting { noisy: 0.7, effect_sizes: (0.03, 1.0), ..usual },
+            SceneModelKind::Parts => SimulationSetting { effect_sizes: (0.2, 2.0), ..usual },
+            SceneModelKind::Pixels => SimulationSetting { effect_sizes: (0.1, 1.5), ..usual },
+            SceneModelKind::Given => {
+                SimulationSetting { extent: Extent { width: 40, height: 30 }, duration_s: 0.1, ..usual }
+            }
         }
     }
 }
 
-impl Default for MadeSetting {
-    fn default() -> MadeSetting {
-        MadeSetting {
-            kind: Kind::Picture,
+impl Default for SimulationSetting {
+    fn default() -> SimulationSetting {
+        SimulationSetting {
+            kind: SceneModelKind::Picture,
             extent: Extent { width: 64, height: 48 },
             duration_s: 0.12,
             shares: [0.42, 0.12, 0.1],
@@ -100,43 +101,52 @@ impl Default for MadeSetting {
     }
 }
 
-/// Recording number `index` of a seed.
+/// Simulates recording number `index` of a seed.
 ///
 /// # Errors
 /// When the effects that were drawn cannot be combined.
-pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String> {
+pub fn simulate_recording(
+    seed: u64,
+    index: u64,
+    setting: &SimulationSetting,
+) -> Result<SimulatedRecording, String> {
     let mut random = Random::new(seed, &[index, 0x3a]);
     let noise = (random.uniform() < setting.noisy)
         .then(|| (3.0 + 17.0 * random.uniform(), 1.0 + 2.0 * random.uniform()));
     let (scene, target) = match setting.kind {
-        Kind::Picture | Kind::Joint => {
-            (MadeUp::new(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise), None)
-        }
-        Kind::Parts => {
-            (MadeUp::in_parts(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise), None)
-        }
-        Kind::Pixels => {
-            (MadeUp::of_any(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise), None)
-        }
-        Kind::Given => {
-            let scene = MadeUp::target(seed, index, setting.extent, setting.duration_s);
-            let (sketches, shares) = Sketches::around(&scene, seed, index);
-            (scene, Some((Arc::new(sketches) as Arc<dyn Form>, shares)))
+        SceneModelKind::Picture | SceneModelKind::Joint => (
+            SimulatedScene::new(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise),
+            None,
+        ),
+        SceneModelKind::Parts => (
+            SimulatedScene::in_parts(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise),
+            None,
+        ),
+        SceneModelKind::Pixels => (
+            SimulatedScene::of_any_kind(seed, index, setting.extent, setting.duration_s)
+                .with_frame_noise(noise),
+            None,
+        ),
+        SceneModelKind::Given => {
+            let scene = SimulatedScene::target(seed, index, setting.extent, setting.duration_s);
+            let (sketches, shares) = SketchFamily::ranges_around(&scene, seed, index);
+            (scene, Some((Arc::new(sketches) as Arc<dyn TargetForm>, shares)))
         }
     };
-    let mut truth = Fault { is_noisy: noise.is_some() && target.is_none(), ..Fault::default() };
+    let mut truth =
+        InjectedFault { is_noisy: noise.is_some() && target.is_none(), ..InjectedFault::default() };
     let plain = scene.recording()?;
     let nominal = plain.nominal().map_err(|why| why.to_string())?;
-    let scales = Scales::of(&plain, &nominal);
+    let scales = EffectScales::from_case(&plain, &nominal);
     let kind = random.uniform();
     let [one, two, other] = setting.shares;
     if kind < other {
-        let (case, covariate) = outside(&scene, plain, &nominal, &scales, &mut random)?;
+        let (case, covariate) = with_uncatalogued_fault(&scene, plain, &nominal, &scales, &mut random)?;
         truth.other = Some(covariate);
-        return Ok(Made { case, truth, target });
+        return Ok(SimulatedRecording { case, truth, target });
     }
     let count = if kind < other + two { 2 } else { usize::from(kind < other + two + one) };
-    let mut trial = Trial::stated(&nominal);
+    let mut trial = Trial::nominal(&nominal);
     let choice: Vec<usize> = (0..CANDIDATES.len()).filter(|&n| CANDIDATES[n].sought.is_made).collect();
     while truth.effects.len() < count {
         let candidate = &CANDIDATES[choice[(random.uniform() * choice.len() as f64) as usize % choice.len()]];
@@ -149,10 +159,10 @@ pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String
         }
     }
     let case = if count == 0 { plain } else { scene.recording_through(Some(&trial))? };
-    Ok(Made { case, truth, target })
+    Ok(SimulatedRecording { case, truth, target })
 }
 
-/// What stamps of what is in no catalogue may depend on.
+/// Covariates of uncatalogued stamp faults.
 const OF_STAMPS: [Covariate; 4] = [
     Covariate::RowParity,
     Covariate::ColumnBlock,
@@ -162,11 +172,11 @@ const OF_STAMPS: [Covariate; 4] = [
 /// And thresholds.
 const OF_PIXELS: [Covariate; 3] = [Covariate::RowParity, Covariate::ColumnBlock, Covariate::Radius];
 
-fn outside(
-    scene: &MadeUp,
+fn with_uncatalogued_fault(
+    scene: &SimulatedScene,
     plain: Case,
     nominal: &Nominal,
-    scales: &Scales,
+    scales: &EffectScales,
     random: &mut Random,
 ) -> Result<(Case, Covariate), String> {
     let (width, height) = (plain.extent.width, plain.extent.height);
@@ -183,17 +193,17 @@ fn outside(
     };
     if random.uniform() < 0.5 {
         let covariate = OF_PIXELS[(random.uniform() * OF_PIXELS.len() as f64) as usize % OF_PIXELS.len()];
-        let mut trial = Trial::stated(nominal);
+        let mut trial = Trial::nominal(nominal);
         let factor = 1.0 + (0.04 + 0.2 * random.uniform()) * if random.uniform() < 0.5 { -1.0 } else { 1.0 };
         trial.nominal.pixel.threshold_on *= factor;
         trial.nominal.pixel.threshold_off *= factor;
         let second = scene.recording_through(Some(&trial))?;
         let of = |pixel: usize| {
-            let (x, y) = plain.place(pixel);
+            let (x, y) = plain.pixel_place(pixel);
             if is_other(covariate, x, y) {
-                second.events.of(pixel).to_vec()
+                second.events.of_pixel(pixel).to_vec()
             } else {
-                plain.events.of(pixel).to_vec()
+                plain.events.of_pixel(pixel).to_vec()
             }
         };
         let events = PixelEvents::new((0..plain.events.pixels()).map(of));
@@ -203,8 +213,8 @@ fn outside(
     let delay_ns = (60e3 + 400e3 * random.uniform()) as i64;
     let usual_ns = (0.3e9 / f64::max(scales.rate_hz / f64::from(width * height), 1.0)) as i64;
     let of = |pixel: usize| -> Vec<PixelEvent> {
-        let (x, y) = plain.place(pixel);
-        let events = plain.events.of(pixel);
+        let (x, y) = plain.pixel_place(pixel);
+        let events = plain.events.of_pixel(pixel);
         let late = |k: usize| {
             let before = k.checked_sub(1).map(|k| &events[k]);
             match covariate {
@@ -233,20 +243,21 @@ mod tests {
 
     #[test]
     fn a_number_makes_one_recording_and_all_kinds_are_made() {
-        let setting = MadeSetting {
+        let setting = SimulationSetting {
             extent: Extent { width: 24, height: 16 },
             duration_s: 0.05,
-            ..MadeSetting::default()
+            ..SimulationSetting::default()
         };
-        let truths: Vec<Fault> =
-            (0..24).filter_map(|index| Some(made(3, index, &setting).ok()?.truth)).collect();
+        let truths: Vec<InjectedFault> =
+            (0..24).filter_map(|index| Some(simulate_recording(3, index, &setting).ok()?.truth)).collect();
         assert!(truths.len() > 20);
         assert!(truths.iter().any(|one| one.other.is_some()));
         assert!(
             (0..3).all(|count| truths.iter().any(|one| one.other.is_none() && one.effects.len() == count)),
             "{truths:?}"
         );
-        let (a, b) = (made(3, 5, &setting).unwrap(), made(3, 5, &setting).unwrap());
+        let (a, b) =
+            (simulate_recording(3, 5, &setting).unwrap(), simulate_recording(3, 5, &setting).unwrap());
         assert_eq!((a.case.events, a.truth), (b.case.events, b.truth));
     }
 }

@@ -1,15 +1,15 @@
-//! What to record next, so that what looks alike comes apart.
+//! Which recording to make next, so that two effects with similar evidence can be separated.
 
 use crate::finding::UNNAMED;
 use crate::integrity::Integrity;
 use crate::integrity::data::is_enough;
-use crate::report::{Detectable, Evidence, Finding, Verdict};
-use crate::residual::separation::{Pair, Separation};
+use crate::report::{Evidence, Finding, MinimumDetectable, Verdict};
+use crate::residual::separation::{ExplanationPair, Separation};
 use crate::rivals::is_random;
-use crate::stages::{Decided, Proposal};
+use crate::stages::{EffectProposal, SceneDecision};
 use crate::units::readable;
 use crate::unstated::{self, without_scene};
-use crate::verdict::Answer;
+use crate::verdict::JoinedFindings;
 use photocurrent_core::{NodeError, Sensor};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
@@ -17,16 +17,16 @@ use photocurrent_sensor::effects::catalogue;
 
 /// Two explanations and the recording that separates them.
 #[derive(Clone, Debug)]
-pub(crate) struct Apart {
+pub(crate) struct SeparatedExplanations {
     /// Ids, the better one first.
     pub ids: [String; 2],
-    /// What separates them.
+    /// Predicted gain of the recordings that separate them.
     pub by: Separation,
 }
 
-impl Apart {
+impl SeparatedExplanations {
     /// As a sentence; none where the recording at hand separates them.
-    fn sentence(&self, case: &Case, answer: &Answer) -> Option<String> {
+    fn sentence(&self, case: &Case, answer: &JoinedFindings) -> Option<String> {
         let [one, other] = &self.ids;
         let Separation { best, again, known, left } = self.by;
         let recorded_s = (case.span.1 - case.span.0) as f64 * 1e-9;
@@ -68,11 +68,11 @@ impl Apart {
 pub(crate) fn two_best(
     case: &Case,
     nominal: &Nominal,
-    (decided, answer): (Option<&Decided>, &Answer),
+    (decided, answer): (Option<&SceneDecision>, &JoinedFindings),
     describe: impl Fn(&[Finding]) -> Option<Sensor>,
     curve: Option<Sensor>,
-    separation: impl Fn(&Pair<'_>) -> Result<Option<Separation>, NodeError>,
-) -> Result<Option<Apart>, NodeError> {
+    separation: impl Fn(&ExplanationPair<'_>) -> Result<Option<Separation>, NodeError>,
+) -> Result<Option<SeparatedExplanations>, NodeError> {
     let Some(decided) = decided else { return Ok(None) };
     let first = answer.findings.iter().find(|one| !one.is_direct() && !is_random(&one.id));
     let (id, sensor, gain, gain_error) = match (first, &answer.unexplained, curve) {
@@ -88,22 +88,23 @@ pub(crate) fn two_best(
         _ => return Ok(None),
     };
     let also = first.and_then(|first| first.also_possible.iter().find(|id| *id != UNNAMED));
-    let is_other =
-        |one: &&Proposal| one.id() != id && !is_random(one.id()) && also.is_none_or(|also| one.id() == also);
+    let is_other = |one: &&EffectProposal| {
+        one.id() != id && !is_random(one.id()) && also.is_none_or(|also| one.id() == also)
+    };
     let others = decided.proposals.iter().filter(is_other);
     let other =
         others.max_by(|a, b| a.probability.total_cmp(&b.probability).then(b.candidate.cmp(&a.candidate)));
     let Some(other) = other else { return Ok(None) };
-    let finding = Finding::of_proposal(case, nominal, &decided.name, other);
+    let finding = Finding::from_proposal(case, nominal, &decided.name, other);
     let Some(of_other) = describe(std::slice::from_ref(&finding)) else { return Ok(None) };
     // What an unnamed curve gains is over the effects already.
     let (taken, other_error) = if id == UNNAMED { (0.0, 0.0) } else { gain_of(&finding.evidence) };
-    let pair = Pair {
+    let pair = ExplanationPair {
         sensors: [&sensor, &of_other],
         gain: gain - taken,
         gain_error: libm::hypot(gain_error, other_error),
     };
-    Ok(separation(&pair)?.map(|by| Apart { ids: [id, finding.id.clone()], by }))
+    Ok(separation(&pair)?.map(|by| SeparatedExplanations { ids: [id, finding.id.clone()], by }))
 }
 
 /// Held-out gain, nats an event, with its standard error.
@@ -114,13 +115,13 @@ fn gain_of(evidence: &Evidence) -> (f64, f64) {
     (gain, if events > 0.0 { width / events } else { 0.0 })
 }
 
-/// Advice for a diagnosis; nothing when there is nothing to separate.
+/// Sentences of advice for a diagnosis. Empty when there is nothing to separate.
 pub(crate) fn next_experiments(
     case: &Case,
-    answer: &Answer,
+    answer: &JoinedFindings,
     integrity: &Integrity,
-    limits: &[Detectable],
-    simulated: Option<&Apart>,
+    limits: &[MinimumDetectable],
+    simulated: Option<&SeparatedExplanations>,
 ) -> Vec<String> {
     let mut advice: Vec<String> =
         simulated.and_then(|apart| apart.sentence(case, answer)).into_iter().collect();
@@ -133,7 +134,7 @@ pub(crate) fn next_experiments(
         let set: Vec<&String> = set.filter(|id| *id != UNNAMED).collect();
         for (k, one) in set.iter().enumerate() {
             for other in &set[k + 1..] {
-                let stated = apart(one, other).or_else(|| apart(other, one));
+                let stated = catalogue_separation(one, other).or_else(|| catalogue_separation(other, one));
                 let otherwise = || {
                     format!(
                         "to separate {one} from {other}: the same scene at another speed and in other light, \
@@ -175,22 +176,22 @@ pub(crate) fn next_experiments(
 
 /// An effect whose limit is this many times that of known light is mostly taken over by the estimated scene.
 const TAKEN_OVER: f64 = 3.0;
-/// So many of them are stated: more are in `detectability`.
+/// Most limits that a sentence lists; `detectability` has all of them.
 const MOST_STATED: usize = 4;
 
-/// Which effects the estimated scene takes over, and from what size on they would be seen were the light
-/// known.
-fn of_known_light(limits: &[Detectable]) -> Option<String> {
-    let times = |one: &Detectable| one.minimal_detectable / one.of_known_light.unwrap_or(f64::INFINITY);
-    let mut over: Vec<&Detectable> = limits.iter().filter(|one| times(one) >= TAKEN_OVER).collect();
+/// Effects that the estimated scene absorbs, with the smallest size that known light would show.
+fn of_known_light(limits: &[MinimumDetectable]) -> Option<String> {
+    let times =
+        |one: &MinimumDetectable| one.minimal_detectable / one.of_known_light.unwrap_or(f64::INFINITY);
+    let mut over: Vec<&MinimumDetectable> = limits.iter().filter(|one| times(one) >= TAKEN_OVER).collect();
     over.sort_by(|a, b| times(b).total_cmp(&times(a)));
-    let mut stated: Vec<&Detectable> = Vec::new();
+    let mut stated: Vec<&MinimumDetectable> = Vec::new();
     for one in over {
         if stated.iter().all(|other| other.id != one.id) && stated.len() < MOST_STATED {
             stated.push(one);
         }
     }
-    let one = |of: &&Detectable| {
+    let one = |of: &&MinimumDetectable| {
         let [known, estimated] = [of.of_known_light?, of.minimal_detectable].map(|v| readable(v, &of.unit));
         Some(format!("{} ({}) from {known} on instead of {estimated}", of.id, of.parameter))
     };
@@ -204,8 +205,8 @@ fn of_known_light(limits: &[Detectable]) -> Option<String> {
     })
 }
 
-/// What separates an effect from another one, by the catalogue's word of the first.
-fn apart(one: &str, other: &str) -> Option<String> {
+/// How the catalogue separates effect `one` from effect `other`; `None` where it states nothing.
+fn catalogue_separation(one: &str, other: &str) -> Option<String> {
     let kind = catalogue().into_iter().find(|kind| kind.decl.id == one)?;
     let (_, what) = kind.decl.apart.iter().find(|(id, _)| *id == other)?;
     Some(format!("to separate {one} from {other}: {what}"))
@@ -219,7 +220,7 @@ mod tests {
     fn what_an_estimated_scene_takes_over_is_stated_with_what_known_light_would_show() {
         let limit = |id: &str, parameter: &str, minimal_detectable: f64, of_known_light: Option<f64>| {
             let (id, parameter) = (id.to_owned(), parameter.to_owned());
-            Detectable {
+            MinimumDetectable {
                 id,
                 parameter,
                 minimal_detectable,
@@ -245,22 +246,22 @@ mod tests {
 
     #[test]
     fn what_separates_two_explanations_is_a_recording_and_how_long_it_takes() {
-        use crate::residual::separation::Separating;
+        use crate::residual::separation::SeparatingRecording;
         let case = crate::testing::case();
         let of = |best: (&'static str, f64), again: f64| {
-            let one = |(name, seconds)| Separating { name, seconds };
+            let one = |(name, seconds)| SeparatingRecording { name, seconds };
             let by = Separation {
                 best: one(best),
                 again: one(("the same again", again)),
                 known: one(("a known target", 0.024)),
                 left: 0.05,
             };
-            Apart { ids: ["time_constant".into(), "clock_offset".into()], by }
+            SeparatedExplanations { ids: ["time_constant".into(), "clock_offset".into()], by }
         };
-        let answer = |verdict: Verdict| Answer { verdict, findings: Vec::new(), unexplained: None };
-        let said = |apart: &Apart, verdict| apart.sentence(&case, &answer(verdict));
+        let answer = |verdict: Verdict| JoinedFindings { verdict, findings: Vec::new(), unexplained: None };
+        let sentence_of = |apart: &SeparatedExplanations, verdict| apart.sentence(&case, &answer(verdict));
         let dim = of(("the same scene in a tenth of the light", 0.2), 1.5);
-        let sentence = said(&dim, Verdict::Named).unwrap();
+        let sentence = sentence_of(&dim, Verdict::Named).unwrap();
         assert!(
             sentence.starts_with(
                 "to separate time_constant from clock_offset by three standard errors: the same scene in a \
@@ -271,18 +272,22 @@ mod tests {
         );
         // The recording of 60 ms separates them: a name needs no advice, a set does.
         let same = of(("the same again", 0.05), 0.05);
-        assert_eq!(said(&same, Verdict::Named), None);
-        assert!(said(&same, Verdict::Ambiguous).unwrap().contains(": the same again, for 50 ms; a known"));
+        assert_eq!(sentence_of(&same, Verdict::Named), None);
+        assert!(
+            sentence_of(&same, Verdict::Ambiguous).unwrap().contains(": the same again, for 50 ms; a known")
+        );
         let none = of(("the same again", f64::INFINITY), f64::INFINITY);
-        assert!(said(&none, Verdict::Ambiguous).unwrap().contains("does within an hour; a known target"));
+        assert!(
+            sentence_of(&none, Verdict::Ambiguous).unwrap().contains("does within an hour; a known target")
+        );
     }
 
     #[test]
     fn a_pair_is_separated_by_the_word_of_the_one_that_has_it() {
         assert_eq!(
-            apart("clock_drift", "clock_offset").unwrap(),
+            catalogue_separation("clock_drift", "clock_offset").unwrap(),
             "to separate clock_drift from clock_offset: a recording four times as long: a drift grows with it"
         );
-        assert_eq!(apart("clock_offset", "clock_drift"), None);
+        assert_eq!(catalogue_separation("clock_offset", "clock_drift"), None);
     }
 }

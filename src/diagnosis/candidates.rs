@@ -1,11 +1,12 @@
-//! Every effect of the catalogue as a candidate: what its file says of the numbers that are sought
-//! ([`Sought`]), on a recording.
+//! Every effect of the catalogue as a candidate: the parameters that its file declares as searchable
+//! ([`Sought`]), evaluated for a recording.
 //!
 //! An effect with several independent parameters gives several candidates of the same id ("time_constant" by
-//! `tau_0` or by `alpha`). An *effect size* of 1 is an effect that an engineer would care for, 0 none; what
-//! parameter value that is depends on the recording's light and speed ([`Scales`]).
+//! `tau_0` or by `alpha`). An *effect size* is a normalised parameter: 0 is no effect, 1 is the size that an
+//! engineer would care for. The parameter value of size 1 depends on the light and the speed of the recording
+//! ([`EffectScales`]).
 
-use crate::record::Described;
+use crate::record::EffectParameters;
 use photocurrent_core::Sensor;
 use photocurrent_core::sensor::Reset;
 use photocurrent_scene::case::Case;
@@ -15,9 +16,9 @@ use photocurrent_sensor::effects::sought::{Applied, Field, Grows, Measure, Size,
 use photocurrent_sensor::effects::{EffectDecl, ParameterDecl, Unit, catalogue};
 use std::sync::LazyLock;
 
-/// What effect sizes of effects are measured by: how bright, fast and busy a recording is.
+/// Scales that convert effect sizes to parameter values: light, speed and event rate of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Scales {
+pub struct EffectScales {
     /// Median photocurrent.
     pub light: f64,
     /// Mean of both thresholds, natural-log units.
@@ -45,9 +46,9 @@ pub struct Scales {
     pub rows: f64,
 }
 
-impl Scales {
+impl EffectScales {
     /// Of a recording.
-    pub fn of(case: &Case, nominal: &Nominal) -> Scales {
+    pub fn from_case(case: &Case, nominal: &Nominal) -> EffectScales {
         let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
         let duration_s = f64::max((case.span.1 - case.span.0) as f64 * 1e-9, 1e-6);
         let mut signals: Vec<f64> = Vec::new();
@@ -56,7 +57,7 @@ impl Scales {
             exposure_s = frames.times.nominal_exposure_ns().unwrap_or(0) as f64 * 1e-9;
             // Every 7th value: enough for a median.
             signals = frames
-                .every(7)
+                .every_nth(7)
                 .filter(|dn| dn.is_finite())
                 .map(|dn| f64::from(dn) - nominal.number.black_level)
                 .collect();
@@ -79,7 +80,7 @@ impl Scales {
         };
         let mut intervals: Vec<i64> = Vec::new();
         for pixel in (0..case.events.pixels()).step_by(5) {
-            let of_pixel = case.events.of(pixel);
+            let of_pixel = case.events.of_pixel(pixel);
             intervals.extend(
                 of_pixel
                     .windows(2)
@@ -93,7 +94,7 @@ impl Scales {
         let rate_hz = f64::max(case.events.len() as f64 / duration_s, 1.0);
         let (stamp_s, rows, slope_per_s) =
             (case.t_resolution_ns as f64 * 1e-9, f64::from(case.extent.height), threshold / short_s);
-        Scales {
+        EffectScales {
             light,
             threshold,
             duration_s,
@@ -129,7 +130,7 @@ impl Scales {
         }
     }
 
-    fn size(&self, size: &Size, nominal: &Nominal) -> f64 {
+    fn natural_size(&self, size: &Size, nominal: &Nominal) -> f64 {
         size.at(&|measure| self.measure(measure, nominal))
     }
 }
@@ -143,33 +144,34 @@ pub struct Candidate {
     pub parameter: &'static str,
     /// Signs.
     pub signs: Signs,
-    /// Is what happens random, so that another seed gives another recording with the same statistics?
+    /// Is the effect random? Another seed then gives another recording with the same statistics.
     pub is_random: bool,
     /// How it is searched for, from the file of the effect.
     pub sought: Sought,
     decl: EffectDecl,
 }
 
-/// What is simulated or solved instead of the stated sensor.
+/// A sensor to simulate or to solve with: the stated one with effects in addition.
 #[derive(Clone, Debug)]
 pub struct Trial {
     /// The base fields.
     pub nominal: Nominal,
     /// Effects on top.
-    pub effects: Described,
+    pub effects: EffectParameters,
 }
 
-/// All candidates: the numbers that effects are sought by, in the order of the catalogue.
+/// All candidates: the searchable parameters of all effects, in the order of the catalogue.
 pub static CANDIDATES: LazyLock<Vec<Candidate>> = LazyLock::new(|| {
-    let numbers =
-        |decl: EffectDecl| decl.search.numbers().iter().map(move |sought| Candidate::of(decl, *sought));
+    let numbers = |decl: EffectDecl| {
+        decl.search.numbers().iter().map(move |sought| Candidate::from_declaration(decl, *sought))
+    };
     let mut all: Vec<Candidate> = catalogue().into_iter().flat_map(|kind| numbers(kind.decl)).collect();
     all.sort_by_key(|candidate| candidate.sought.comes_last);
     all
 });
 
 impl Candidate {
-    fn of(decl: EffectDecl, sought: Sought) -> Candidate {
+    fn from_declaration(decl: EffectDecl, sought: Sought) -> Candidate {
         Candidate {
             id: decl.id,
             parameter: sought.parameter,
@@ -185,12 +187,12 @@ impl Candidate {
         if self.parameter.is_empty() { self.id.to_owned() } else { format!("{}.{}", self.id, self.parameter) }
     }
 
-    /// What the effect says about itself.
+    /// The effect's declaration in the catalogue.
     pub fn decl(&self) -> EffectDecl {
         self.decl
     }
 
-    /// What its number says about itself; none for a switch.
+    /// Declaration of its parameter; `None` for a switch.
     pub fn parameter_decl(&self) -> Option<ParameterDecl> {
         self.decl.parameter(self.parameter)
     }
@@ -203,12 +205,12 @@ impl Candidate {
         }
     }
 
-    /// The value of the parameter that the description states, or that means nothing.
+    /// The parameter's value in the description, or else the value that means no effect.
     pub fn nominal_value(&self, nominal: &Nominal) -> f64 {
         self.sought.stated(nominal)
     }
 
-    /// Is its number a limit or a time constant that means nothing when it is infinite, not when it is 0?
+    /// Is the parameter a limit or a time constant, for which infinity and not 0 means no effect?
     pub fn is_limit(&self) -> bool {
         self.sought.grows == Grows::AsItFalls
     }
@@ -228,8 +230,8 @@ impl Candidate {
         }
     }
 
-    /// Does a value differ from nothing by a material size? The file of the effect states from which size on;
-    /// a switch and a limit always do.
+    /// Does a value differ from no effect by a material size? The effect's file declares that size. A switch
+    /// and a limit always do.
     pub fn is_material(&self, case: &Case, nominal: &Nominal, value: f64) -> bool {
         if self.signs == Signs::Switch || self.is_limit() {
             return true;
@@ -241,7 +243,7 @@ impl Candidate {
             Measure::Duration => (case.span.1 - case.span.0) as f64 * 1e-9,
             Measure::StampWidth => case.t_resolution_ns as f64 * 1e-9,
             Measure::Rows => f64::from(case.extent.height),
-            other => Scales::of(case, nominal).measure(other, nominal),
+            other => EffectScales::from_case(case, nominal).measure(other, nominal),
         };
         (value - self.nominal_value(nominal)).abs() > self.sought.material.at(&measure)
     }
@@ -257,8 +259,8 @@ impl Candidate {
     }
 
     /// The parameter at an effect size, in the unit of its declaration.
-    pub fn value(&self, effect_size: f64, scales: &Scales, nominal: &Nominal) -> f64 {
-        let typical = scales.size(&self.sought.typical, nominal);
+    pub fn value(&self, effect_size: f64, scales: &EffectScales, nominal: &Nominal) -> f64 {
+        let typical = scales.natural_size(&self.sought.typical, nominal);
         if self.is_limit() {
             // The faster the limit, the less it matters.
             return typical / f64::max(effect_size, 1e-6);
@@ -270,13 +272,13 @@ impl Candidate {
     }
 
     /// The effect size at which the parameter has a value.
-    pub fn effect_size(&self, value: f64, scales: &Scales, nominal: &Nominal) -> f64 {
-        let typical = scales.size(&self.sought.typical, nominal);
+    pub fn effect_size(&self, value: f64, scales: &EffectScales, nominal: &Nominal) -> f64 {
+        let typical = scales.natural_size(&self.sought.typical, nominal);
         if self.is_limit() { typical / value } else { (value - self.nominal_value(nominal)) / typical }
     }
 
     /// Applies the effect to a trial, at an effect size.
-    pub fn apply(&self, trial: &mut Trial, effect_size: f64, scales: &Scales) {
+    pub fn apply(&self, trial: &mut Trial, effect_size: f64, scales: &EffectScales) {
         if self.is_reset() {
             trial.effects.remove(self.id);
             trial.nominal.reset =
@@ -295,7 +297,7 @@ impl Candidate {
         for (name, size) in
             self.sought.others.iter().filter(|(name, _)| !parameters.contains_key(*name)).collect::<Vec<_>>()
         {
-            parameters.extend(written(name, scales.size(size, &trial.nominal)));
+            parameters.extend(written(name, scales.natural_size(size, &trial.nominal)));
         }
         let Some(companion) = self.sought.companion else { return };
         let applied = Applied { effect_size, value, light: scales.light, model: &trial.nominal };
@@ -310,7 +312,7 @@ impl Candidate {
 fn typical_dn(case: &Case, nominal: &Nominal) -> f64 {
     let Some(frames) = &case.frames else { return 0.0 };
     let mut signals: Vec<f64> = frames
-        .every(101)
+        .every_nth(101)
         .filter(|dn| dn.is_finite())
         .map(|dn| f64::from(dn) - nominal.number.black_level)
         .collect();
@@ -325,18 +327,23 @@ fn typical_light(case: &Case, nominal: &Nominal) -> f64 {
 
 impl Trial {
     /// The stated sensor.
-    pub fn stated(nominal: &Nominal) -> Trial {
-        Trial { nominal: nominal.clone(), effects: Described::new() }
+    pub fn nominal(nominal: &Nominal) -> Trial {
+        Trial { nominal: nominal.clone(), effects: EffectParameters::new() }
     }
 
     /// The stated sensor with one effect.
-    pub fn with(nominal: &Nominal, candidate: &Candidate, effect_size: f64, scales: &Scales) -> Trial {
-        Trial::stated(nominal).and(candidate, effect_size, scales)
+    pub fn nominal_with_effect(
+        nominal: &Nominal,
+        candidate: &Candidate,
+        effect_size: f64,
+        scales: &EffectScales,
+    ) -> Trial {
+        Trial::nominal(nominal).with_effect(candidate, effect_size, scales)
     }
 
     /// The same sensor with one effect more.
     #[must_use]
-    pub fn and(&self, candidate: &Candidate, effect_size: f64, scales: &Scales) -> Trial {
+    pub fn with_effect(&self, candidate: &Candidate, effect_size: f64, scales: &EffectScales) -> Trial {
         let mut trial = self.clone();
         candidate.apply(&mut trial, effect_size, scales);
         trial
@@ -351,7 +358,7 @@ mod tests {
     use photocurrent_sensor::effects::sought::Search;
 
     #[test]
-    fn every_effect_of_the_catalogue_is_a_candidate_or_says_why_it_is_not() {
+    fn every_effect_of_the_catalogue_is_a_candidate_or_states_why_not() {
         let mut numbers = 0;
         for kind in catalogue() {
             let of_effect = CANDIDATES.iter().filter(|candidate| candidate.id == kind.decl.id).count();
@@ -370,13 +377,13 @@ mod tests {
     fn every_candidate_can_be_applied_at_any_effect_size_and_read_back() {
         let case = testing::case();
         let nominal = case.nominal().unwrap();
-        let scales = Scales::of(&case, &nominal);
+        let scales = EffectScales::from_case(&case, &nominal);
         for candidate in CANDIDATES.iter() {
             for effect_size in [0.3, 1.0, 2.0, -0.5] {
                 if effect_size < 0.0 && candidate.signs != Signs::Both {
                     continue;
                 }
-                let trial = Trial::with(&nominal, candidate, effect_size, &scales);
+                let trial = Trial::nominal_with_effect(&nominal, candidate, effect_size, &scales);
                 from_description(&trial.effects).unwrap_or_else(|why| panic!("{}: {why}", candidate.label()));
                 if candidate.signs != Signs::Switch {
                     let value = candidate.value(effect_size, &scales, &nominal);

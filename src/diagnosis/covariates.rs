@@ -1,12 +1,11 @@
-//! What an event may depend on: where it is, when, how bright and fast its light, what its pixel and the
-//! array did before.
+//! Covariates of an event: its place and time, brightness and slope of its light, and earlier events of its
+//! pixel and of the array.
 //!
 //! Names are those of reports (`location.covariate`). All are computed from the recording and the estimated
-//! scene alone, for any event at any time: recorded ones, and ones that a simulation has and the recording
-//! has not.
+//! scene alone. They are defined for any event at any time, recorded or simulated.
 
-use crate::curves::Curves;
-use crate::sample::Sample;
+use crate::curves::LogLightCurves;
+use crate::sample::PixelSample;
 use photocurrent_core::Extent;
 use photocurrent_scene::case::Case;
 use photocurrent_sensor::effects::{BURST_GAP_NS, Site};
@@ -58,12 +57,12 @@ pub enum Covariate {
     Laplacian,
     /// Seconds since the last event of one of the eight neighbours.
     NeighbourEvent,
-    /// Phase of a rhythm, in periods from 0 to 1; see [`Surroundings::set_period`].
+    /// Phase of a rhythm, in periods from 0 to 1; see [`CovariateSource::set_period`].
     AcPhase,
 }
 
 impl Covariate {
-    /// What frame values may depend on.
+    /// Covariates of frame values.
     pub const OF_FRAMES: [Covariate; 8] = [
         Covariate::Row,
         Covariate::RowParity,
@@ -129,7 +128,7 @@ impl Covariate {
         }
     }
 
-    /// Does it follow from what the light at the pixel and around it does, and the events that it makes?
+    /// Is it a function of the light at the pixel and around it, and of the events that this light causes?
     pub fn is_of_light(self) -> bool {
         !matches!(
             self,
@@ -165,8 +164,8 @@ const LOAD_NS: i64 = 1_000_000;
 /// A slope is taken over so long to each side, ns.
 const SLOPE_NS: i64 = 100_000;
 
-/// What covariates are computed from.
-pub struct Surroundings<'a> {
+/// Recording and light from which covariates are computed.
+pub struct CovariateSource<'a> {
     case: &'a Case,
     /// Log photocurrent of a pixel at an instant; none where it is not known.
     light: Box<dyn Fn(usize, i64) -> Option<f64> + Sync + 'a>,
@@ -180,34 +179,40 @@ pub struct Surroundings<'a> {
     period_ns: Option<i64>,
 }
 
-impl<'a> Surroundings<'a> {
+impl<'a> CovariateSource<'a> {
     /// Of a recording and its scene; `tau` is (tau_0, alpha) in seconds.
-    pub fn new(case: &'a Case, sample: &'a Sample, scene: &'a Curves, tau: (f64, f64)) -> Surroundings<'a> {
+    pub fn new(
+        case: &'a Case,
+        sample: &'a PixelSample,
+        scene: &'a LogLightCurves,
+        tau: (f64, f64),
+    ) -> CovariateSource<'a> {
         let light = |pixel: usize, t_ns: i64| {
-            sample.place(pixel).filter(|&n| scene.is_known[n]).map(|n| scene.at(n, t_ns))
+            sample.index_of(pixel).filter(|&n| scene.is_known[n]).map(|n| scene.at(n, t_ns))
         };
-        Surroundings::of(case, Box::new(light), sample.len(), tau)
+        CovariateSource::from_light(case, Box::new(light), sample.len(), tau)
     }
 
-    /// Of a recording whose log photocurrent `light` says, by pixel and instant, for `pixels` of them.
-    pub fn of(
+    /// Of the recording `case`. `light` returns the log photocurrent by pixel and instant (ns), natural-log
+    /// units, for `pixels` of its pixels. `tau` is the front end's (tau_0 in s, alpha).
+    pub fn from_light(
         case: &'a Case,
         light: Box<dyn Fn(usize, i64) -> Option<f64> + Sync + 'a>,
         pixels: usize,
         tau: (f64, f64),
-    ) -> Surroundings<'a> {
+    ) -> CovariateSource<'a> {
         let bins = usize::try_from((case.span.1 - case.span.0) / LOAD_NS + 2).unwrap_or(2);
         let mut array_load = vec![0; bins];
         let mut row_load = vec![vec![0; bins]; case.extent.height as usize];
         for pixel in 0..case.events.pixels() {
-            let (_, y) = case.place(pixel);
-            for event in case.events.of(pixel) {
+            let (_, y) = case.pixel_place(pixel);
+            for event in case.events.of_pixel(pixel) {
                 let bin = usize::try_from((event.t_in_ns - case.span.0) / LOAD_NS).unwrap_or(0).min(bins - 1);
                 array_load[bin] += 1;
                 row_load[y as usize][bin] += 1;
             }
         }
-        Surroundings { case, light, pixels, tau, array_load, row_load, period_ns: None }
+        CovariateSource { case, light, pixels, tau, array_load, row_load, period_ns: None }
     }
 
     /// Sets the period of a rhythm.
@@ -223,7 +228,7 @@ impl<'a> Surroundings<'a> {
     /// The value for an event of `polarity` at `t_ns` in a pixel of the array; none where it is not defined
     /// (no event before, no neighbour in the sample).
     pub fn value(&self, covariate: Covariate, pixel: usize, t_ns: i64, polarity: i8) -> Option<f64> {
-        let (x, y) = self.case.place(pixel);
+        let (x, y) = self.case.pixel_place(pixel);
         let Extent { width, height } = self.case.extent;
         let site = Site { x, y, width, height, seed: 0 };
         Some(match covariate {
@@ -245,11 +250,12 @@ impl<'a> Surroundings<'a> {
                 tau * self.slope(pixel, t_ns)?.abs()
             }
             Covariate::Polarity => f64::from(polarity),
-            Covariate::PreviousPolarity => f64::from(polarity * self.before(pixel, t_ns)?.1),
-            Covariate::TimeSinceLastEvent => (t_ns - self.before(pixel, t_ns)?.0) as f64 * 1e-9,
+            Covariate::PreviousPolarity => f64::from(polarity * self.last_event_before(pixel, t_ns)?.1),
+            Covariate::TimeSinceLastEvent => (t_ns - self.last_event_before(pixel, t_ns)?.0) as f64 * 1e-9,
             Covariate::BurstIndex => self.burst_index(pixel, t_ns, polarity),
             Covariate::LocalRate => {
-                self.around(x, y).map(|neighbour| self.count_before(neighbour, t_ns)).sum::<usize>() as f64
+                self.neighbours(x, y).map(|neighbour| self.count_before(neighbour, t_ns)).sum::<usize>()
+                    as f64
             }
             Covariate::RowRate => f64::from(self.row_load[y as usize][self.bin(t_ns)]),
             Covariate::GlobalRate => f64::from(self.array_load[self.bin(t_ns)]),
@@ -269,9 +275,9 @@ impl<'a> Surroundings<'a> {
             }
             Covariate::NeighbourEvent => {
                 let latest = self
-                    .around(x, y)
+                    .neighbours(x, y)
                     .filter(|&neighbour| neighbour != pixel)
-                    .filter_map(|neighbour| Some(self.before(neighbour, t_ns)?.0))
+                    .filter_map(|neighbour| Some(self.last_event_before(neighbour, t_ns)?.0))
                     .max()?;
                 (t_ns - latest) as f64 * 1e-9
             }
@@ -286,7 +292,7 @@ impl<'a> Surroundings<'a> {
         usize::try_from((t_ns - self.case.span.0) / LOAD_NS).unwrap_or(0).min(self.array_load.len() - 1)
     }
 
-    fn around(&self, x: u32, y: u32) -> impl Iterator<Item = usize> {
+    fn neighbours(&self, x: u32, y: u32) -> impl Iterator<Item = usize> {
         let (width, height) = (self.case.extent.width, self.case.extent.height);
         let rows = y.saturating_sub(1)..=u32::min(y + 1, height - 1);
         rows.flat_map(move |y| {
@@ -295,20 +301,20 @@ impl<'a> Surroundings<'a> {
     }
 
     /// Stamp and polarity of the pixel's last event before `t_ns`.
-    fn before(&self, pixel: usize, t_ns: i64) -> Option<(i64, i8)> {
-        let events = self.case.events.of(pixel);
+    fn last_event_before(&self, pixel: usize, t_ns: i64) -> Option<(i64, i8)> {
+        let events = self.case.events.of_pixel(pixel);
         let event = events[..events.partition_point(|event| event.t_in_ns < t_ns)].last()?;
         Some((event.t_in_ns, event.polarity))
     }
 
     fn count_before(&self, pixel: usize, t_ns: i64) -> usize {
-        let events = self.case.events.of(pixel);
+        let events = self.case.events.of_pixel(pixel);
         events.partition_point(|event| event.t_in_ns < t_ns)
             - events.partition_point(|event| event.t_in_ns < t_ns - LOAD_NS)
     }
 
     fn burst_index(&self, pixel: usize, t_ns: i64, polarity: i8) -> f64 {
-        let events = self.case.events.of(pixel);
+        let events = self.case.events.of_pixel(pixel);
         let (mut index, mut later) = (1.0, t_ns);
         for event in events[..events.partition_point(|event| event.t_in_ns < t_ns)].iter().rev() {
             if event.polarity != polarity || later - event.t_in_ns > BURST_GAP_NS {

@@ -3,11 +3,11 @@
 use photocurrent_sensor::conditional::at;
 
 /// Knots, log light, and whether it is known.
-pub(crate) type Curve = (Vec<i64>, Vec<f64>, bool);
+pub(crate) type LogLightCurve = (Vec<i64>, Vec<f64>, bool);
 
 /// Log light of the pixels of a sample.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Curves {
+pub struct LogLightCurves {
     first: Vec<usize>,
     /// Knots, ns, pixel after pixel.
     pub t_ns: Vec<i64>,
@@ -18,10 +18,10 @@ pub struct Curves {
     pub is_known: Vec<bool>,
 }
 
-impl Curves {
+impl LogLightCurves {
     /// From knots, log light, and whether it is known, of each pixel in turn.
-    pub fn from_pixels(pixels: impl IntoIterator<Item = Curve>) -> Curves {
-        let mut curves = Curves { first: vec![0], ..Curves::default() };
+    pub fn from_pixels(pixels: impl IntoIterator<Item = LogLightCurve>) -> LogLightCurves {
+        let mut curves = LogLightCurves { first: vec![0], ..LogLightCurves::default() };
         for (t_ns, log_light, is_known) in pixels {
             curves.t_ns.extend(t_ns);
             curves.log_light.extend(log_light);

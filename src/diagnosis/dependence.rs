@@ -1,9 +1,9 @@
-//! A curve over a covariate that no effect of the catalogue has, as it was measured.
+//! A measured response curve over a covariate that no effect of the catalogue has.
 
 use crate::covariates::Covariate;
 use crate::formula::Formula;
-use crate::record::Described;
-use crate::report::{short, six_digits};
+use crate::record::EffectParameters;
+use crate::report::{four_digits, six_digits};
 use photocurrent_sensor::effects::from_description;
 use photocurrent_sensor::form::through_knots;
 use serde::{Deserialize, Serialize};
@@ -12,10 +12,10 @@ use serde_json::{Map, Value, json};
 /// The effect of the catalogue that has any curve.
 const EFFECT: &str = "dependence";
 
-/// What is moved.
+/// The quantity that a response curve changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Moved {
+pub enum AffectedQuantity {
     /// Both thresholds, as a share of them.
     Threshold,
     /// Stamps, seconds later.
@@ -26,39 +26,39 @@ pub enum Moved {
     EventRate,
 }
 
-impl Moved {
+impl AffectedQuantity {
     /// Where it enters, by the names of docs/formats.md.
     pub fn insertion(self) -> &'static str {
         match self {
-            Moved::Threshold | Moved::EventRate => "comparator",
-            Moved::Stamps => "time",
-            Moved::Rate => "reset",
+            AffectedQuantity::Threshold | AffectedQuantity::EventRate => "comparator",
+            AffectedQuantity::Stamps => "time",
+            AffectedQuantity::Rate => "reset",
         }
     }
 
-    /// How its numbers are written: times what, in which unit, and with how many digits behind the point.
+    /// Display of its values: factor, unit and decimal places.
     fn written(self) -> (f64, &'static str, usize) {
         match self {
-            Moved::Threshold | Moved::EventRate => (100.0, " %", 1),
-            Moved::Stamps => (1e6, " us", 0),
-            Moved::Rate => (1.0, " Hz", 2),
+            AffectedQuantity::Threshold | AffectedQuantity::EventRate => (100.0, " %", 1),
+            AffectedQuantity::Stamps => (1e6, " us", 0),
+            AffectedQuantity::Rate => (1.0, " Hz", 2),
         }
     }
 
     /// As an equation, for departures `c`.
     pub fn equation(self) -> &'static str {
         match self {
-            Moved::Threshold => "threshold * (1 + c)",
-            Moved::Stamps => "stamp + c",
-            Moved::Rate => "rate of ON less OFF events + c",
-            Moved::EventRate => "rate of events * (1 + c)",
+            AffectedQuantity::Threshold => "threshold * (1 + c)",
+            AffectedQuantity::Stamps => "stamp + c",
+            AffectedQuantity::Rate => "rate of ON less OFF events + c",
+            AffectedQuantity::EventRate => "rate of events * (1 + c)",
         }
     }
 }
 
-/// A curve over a second covariate that multiplies the first.
+/// A factor curve over a second covariate, which multiplies the first curve.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Factor {
+pub struct SecondFactor {
     /// What it is over.
     pub covariate: Covariate,
     /// Mean of the covariate in each bin.
@@ -67,19 +67,19 @@ pub struct Factor {
     pub by: Vec<f64>,
 }
 
-impl Factor {
-    /// At a value of the covariate; 0 where it has none.
+impl SecondFactor {
+    /// The factor at a value of the covariate; 0 for a value that is not finite.
     pub(crate) fn value(&self, x: f64) -> f64 {
         if x.is_finite() { through_knots(&self.at, &self.by, false, x) } else { 0.0 }
     }
 }
 
-/// A curve over a covariate, and what it explains.
+/// A response curve over a covariate, with its evidence.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Dependence {
-    /// What it moves.
-    pub moved: Moved,
-    /// What it depends on.
+    /// The quantity that it changes.
+    pub moved: AffectedQuantity,
+    /// The covariate that it depends on.
     pub covariate: Covariate,
     /// Of a rhythm, its period, seconds.
     pub period_s: Option<f64>,
@@ -93,11 +93,12 @@ pub struct Dependence {
     pub value: Vec<f64>,
     /// A second curve that multiplies it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub times: Option<Factor>,
-    /// Half the difference of what two halves of the pixels say; of a rate of events, its standard error.
+    pub times: Option<SecondFactor>,
+    /// Half the difference of the estimates from two halves of the pixels; for a rate of events, its standard
+    /// error.
     pub error: Vec<f64>,
-    /// Share of the squares that it removes, on pixels that it was not fitted to; of a rate of events, the
-    /// share of those of counts.
+    /// Share of the residual squares that it removes, on pixels that it was not fitted to; for a rate of
+    /// events, the share of the squares of counts.
     pub taken: f64,
     /// The same over its standard error from part to part of the array; of a rate of events, what its test
     /// measured.
@@ -113,8 +114,8 @@ pub struct Dependence {
 }
 
 impl Dependence {
-    /// A curve without a point.
-    pub fn over(covariate: Covariate, moved: Moved) -> Dependence {
+    /// A curve with no bins.
+    pub fn empty_over(covariate: Covariate, moved: AffectedQuantity) -> Dependence {
         Dependence {
             moved,
             covariate,
@@ -143,27 +144,28 @@ impl Dependence {
         };
         let formulas = self.formulas.iter().map(of_formula).collect::<Vec<_>>().join(" or");
         let points: Vec<String> = (0..self.at.len())
-            .map(|k| format!("{:+.digits$}{unit} {}", scale * self.value[k], self.place(k)))
+            .map(|k| format!("{:+.digits$}{unit} {}", scale * self.value[k], self.bin_label(k)))
             .collect();
-        let rhythm =
-            self.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", short(1.0 / period_s)));
+        let rhythm = self
+            .period_s
+            .map_or_else(String::new, |period_s| format!(" of {} Hz", four_digits(1.0 / period_s)));
         let measured = if formulas.is_empty() { "" } else { "; measured" };
         let c = self.times.as_ref().map_or("", |_| ", c = f * g");
         let of = if self.times.is_some() { "f" } else { "c" };
-        let factor = self.times.as_ref().map_or_else(String::new, |Factor { covariate, at, by }| {
+        let factor = self.times.as_ref().map_or_else(String::new, |SecondFactor { covariate, at, by }| {
             let points: Vec<String> =
-                at.iter().zip(by).map(|(at, by)| format!("{by:+.2} at {}", short(*at))).collect();
+                at.iter().zip(by).map(|(at, by)| format!("{by:+.2} at {}", four_digits(*at))).collect();
             format!(", g({}) = {}", covariate.name(), points.join(", "))
         });
         let (equation, points) = (self.moved.equation(), points.join(", "));
         format!("{equation}{c}{formulas}{measured}, {of}({name}){rhythm} = {points}{factor}")
     }
 
-    /// Where a bin is.
-    fn place(&self, bin: usize) -> String {
-        let first = |bin: usize| self.steps.get(bin).map(|step| short(*step));
+    /// The position of a bin as text.
+    fn bin_label(&self, bin: usize) -> String {
+        let first = |bin: usize| self.steps.get(bin).map(|step| four_digits(*step));
         match (bin.checked_sub(1).and_then(first), first(bin)) {
-            (None, None) => format!("at {}", short(self.at[bin])),
+            (None, None) => format!("at {}", four_digits(self.at[bin])),
             (None, Some(next)) => format!("below {next}"),
             (Some(from), None) => format!("from {from} on"),
             (Some(from), Some(next)) => format!("from {from} to below {next}"),
@@ -175,10 +177,10 @@ impl Dependence {
     pub fn parameters(&self, start_ns: i64) -> Option<Map<String, Value>> {
         let start_s = start_ns as f64 * 1e-9;
         let moves = match self.moved {
-            Moved::Threshold => "threshold",
-            Moved::Stamps => "delay",
-            Moved::Rate => "leak",
-            Moved::EventRate => return None,
+            AffectedQuantity::Threshold => "threshold",
+            AffectedQuantity::Stamps => "delay",
+            AffectedQuantity::Rate => "leak",
+            AffectedQuantity::EventRate => return None,
         };
         let mut knots = self.knots();
         let mut period = None;
@@ -196,16 +198,16 @@ impl Dependence {
         let by: Vec<Value> = knots
             .iter()
             .map(|(_, value)| match self.moved {
-                Moved::Stamps => json!(format!("{} ns", (value * 1e9).round())),
-                Moved::Rate => json!(format!("{} Hz", six_digits(*value))),
-                Moved::Threshold | Moved::EventRate => json!(six_digits(*value)),
+                AffectedQuantity::Stamps => json!(format!("{} ns", (value * 1e9).round())),
+                AffectedQuantity::Rate => json!(format!("{} Hz", six_digits(*value))),
+                AffectedQuantity::Threshold | AffectedQuantity::EventRate => json!(six_digits(*value)),
             })
             .collect();
         let at: Vec<f64> = knots.iter().map(|(at, _)| six_digits(*at)).collect();
         let given = json!({ "moves": moves, "over": self.covariate.name(), "at": at, "by": by });
         let Value::Object(mut given) = given else { return None };
         given.extend(period.map(|period| ("period".to_owned(), Value::from(period))));
-        if let Some(Factor { covariate, at, by }) = &self.times {
+        if let Some(SecondFactor { covariate, at, by }) = &self.times {
             let is_time = *covariate == Covariate::Time;
             let at = at.iter().map(|at| six_digits(if is_time { at + start_s } else { *at }));
             given.insert("times".to_owned(), json!(covariate.name()));
@@ -231,7 +233,7 @@ impl Dependence {
     }
 
     /// Effects of a description with this curve; none where it cannot be expressed, or they have another one.
-    pub fn put_in(&self, effects: &Described, start_ns: i64) -> Option<Described> {
+    pub fn apply_to_effects(&self, effects: &EffectParameters, start_ns: i64) -> Option<EffectParameters> {
         let given = self.parameters(start_ns)?;
         let mut effects = effects.clone();
         effects.insert(EFFECT.to_owned(), given).is_none().then_some(effects)
@@ -242,7 +244,7 @@ impl Dependence {
 mod tests {
     use super::*;
 
-    fn dependence(moved: Moved, covariate: Covariate, period_s: Option<f64>) -> Dependence {
+    fn dependence(moved: AffectedQuantity, covariate: Covariate, period_s: Option<f64>) -> Dependence {
         Dependence {
             period_s,
             at: vec![0.25, 0.75],
@@ -252,7 +254,7 @@ mod tests {
             significance: 9.0,
             nats_per_event: 0.3,
             is_with_scene: true,
-            ..Dependence::over(covariate, moved)
+            ..Dependence::empty_over(covariate, moved)
         }
     }
 
@@ -262,20 +264,26 @@ mod tests {
             dependence(moved, covariate, period_s).parameters(3_000_000).map(Value::Object)
         };
         assert_eq!(
-            of(Moved::Threshold, Covariate::Radius, None).unwrap(),
+            of(AffectedQuantity::Threshold, Covariate::Radius, None).unwrap(),
             json!({ "moves": "threshold", "over": "radius", "at": [0.25, 0.75], "by": [-0.1, 0.1] })
         );
         // 3 ms are three tenths of 10 ms: 0.25 is 0.55, and 0.75 is 0.05, which comes first.
         assert_eq!(
-            of(Moved::Stamps, Covariate::AcPhase, Some(0.01)).unwrap(),
+            of(AffectedQuantity::Stamps, Covariate::AcPhase, Some(0.01)).unwrap(),
             json!({
                 "moves": "delay", "over": "ac_phase", "at": [0.05, 0.55],
                 "by": ["100000000 ns", "-100000000 ns"],
                 "period": "10000000 ns"
             })
         );
-        assert_eq!(of(Moved::Threshold, Covariate::Time, None).unwrap()["at"], json!([0.253, 0.753]));
-        assert_eq!(of(Moved::Rate, Covariate::Row, None).unwrap()["by"], json!(["-0.1 Hz", "0.1 Hz"]));
+        assert_eq!(
+            of(AffectedQuantity::Threshold, Covariate::Time, None).unwrap()["at"],
+            json!([0.253, 0.753])
+        );
+        assert_eq!(
+            of(AffectedQuantity::Rate, Covariate::Row, None).unwrap()["by"],
+            json!(["-0.1 Hz", "0.1 Hz"])
+        );
         // Every variable that the effect has is one of the covariates by the same name.
         for covariate in [
             Covariate::Row,
@@ -285,14 +293,14 @@ mod tests {
             Covariate::Photocurrent,
             Covariate::PreviousPolarity,
         ] {
-            assert!(of(Moved::Threshold, covariate, None).is_some(), "{covariate:?}");
+            assert!(of(AffectedQuantity::Threshold, covariate, None).is_some(), "{covariate:?}");
         }
         // Steps between rows 3 and 4 and rows 4 and 5.
         let steps = Dependence {
             at: vec![1.5, 4.0, 6.5],
             steps: vec![4.0, 5.0],
             value: vec![0.0, 0.2, 0.1],
-            ..dependence(Moved::Threshold, Covariate::Row, None)
+            ..dependence(AffectedQuantity::Threshold, Covariate::Row, None)
         };
         let given = steps.parameters(0).unwrap();
         assert_eq!((&given["at"], &given["by"]), (&json!([3.0, 4.0, 5.0]), &json!([0.0, 0.2, 0.1])));
@@ -301,7 +309,7 @@ mod tests {
             "threshold * (1 + c), c(row) = +0.0 % below 4, +20.0 % from 4 to below 5, +10.0 % from 5 on"
         );
         // What a pixel does not have at its reset.
-        assert_eq!(of(Moved::Stamps, Covariate::TimeSinceLastEvent, None), None);
-        assert_eq!(of(Moved::EventRate, Covariate::RowParity, None), None);
+        assert_eq!(of(AffectedQuantity::Stamps, Covariate::TimeSinceLastEvent, None), None);
+        assert_eq!(of(AffectedQuantity::EventRate, Covariate::RowParity, None), None);
     }
 }

@@ -1,28 +1,29 @@
-//! A whole diagnosis: direct tests, what is decided on a scene, verdict, fitted description, proof, report;
-//! and its last two stages one by one ([`check`], [`confirm`]).
+//! A whole diagnosis: direct tests, decision on a scene, verdict, fitted description, held-out check and
+//! report. Its last two stages are separate functions ([`check`], [`confirm`]).
 
-use crate::advice::{Apart, next_experiments, two_best};
-use crate::candidates::{CANDIDATES, Candidate, Scales};
-use crate::curves::Curves;
-use crate::fitted::{amended, fitted};
-use crate::heldout::{Prediction, predict};
+use crate::advice::{SeparatedExplanations, next_experiments, two_best};
+use crate::candidates::{CANDIDATES, Candidate, EffectScales};
+use crate::curves::LogLightCurves;
+use crate::fitted::{apply_direct_findings, fitted};
+use crate::heldout::{HeldOutScore, predict};
 pub use crate::integrity::can_compare;
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES, is_enough};
 use crate::integrity::{Integrity, TESTED, integrity};
-use crate::judge::judged;
+use crate::judge::add_confirmed_proposals;
 use crate::limits::{nothing_would_show, seen_and_unseen};
 use crate::report::{
-    BeforeAfter, Detectable, Estimate, Finding, Fit, NotTestable, Number, Provenance, Report, SCHEMA, Verdict,
+    BeforeAfter, DescriptionFit, Finding, MinimumDetectable, NamedNumber, NotTestable, Provenance, Report,
+    SCHEMA, SceneEstimate, Verdict,
 };
-use crate::residual::located::Located;
-use crate::residual::separation::{Pair, separation};
+use crate::residual::located::LocatedEffect;
+use crate::residual::separation::{ExplanationPair, separation};
 use crate::rivals::{by_frames, is_random};
-use crate::sample::Sample;
-use crate::stages::{Decided, Proposal, Proposed, Unexplained};
+use crate::sample::PixelSample;
+use crate::stages::{DecisionOutcome, EffectProposal, SceneDecision, Unexplained};
 use crate::units::readable;
 use crate::unknowns::{is_left_open, with_estimates};
 use crate::unstated;
-use crate::verdict::{Answer, answered, verdict};
+use crate::verdict::{JoinedFindings, locations_of_findings, verdict};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::{NodeError, Sensor};
 use photocurrent_scene::block::Block;
@@ -33,19 +34,19 @@ use photocurrent_solve::SolveOptions;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How a diagnosis is confirmed.
+/// Settings of the confirmation by held-out frames.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct Setting {
+pub struct ConfirmSetting {
     /// Are held-out frames predicted with the stated and the fitted description? It needs an estimate of the
     /// light; without it direct tests take a second.
     pub proof: bool,
-    /// What predicts held-out frames worse than the nominal description, by more than this, dB, is withdrawn.
+    /// Findings are withdrawn that predict held-out frames worse than the nominal description by more than
+    /// this, dB.
     #[schemars(range(min = 0.0))]
     pub most_worse_db: f64,
-    /// Where no scene is evidence, what pairs of frames of long exposure propose counts only where it
-    /// predicts held-out frames better by more than this, dB; and where one is, an effect that explains
-    /// events nearly as well as the chosen one takes its place.
+    /// Least improvement on held-out frames, dB. Without a scene, proposals from pairs of long exposures must
+    /// reach it. With a scene, a rival effect must reach it to replace the chosen one.
     #[schemars(range(min = 0.0))]
     pub least_better_db: f64,
     /// Seed of everything random.
@@ -56,9 +57,9 @@ pub struct Setting {
     pub solve: SolveOptions,
 }
 
-impl Default for Setting {
-    fn default() -> Setting {
-        Setting {
+impl Default for ConfirmSetting {
+    fn default() -> ConfirmSetting {
+        ConfirmSetting {
             proof: true,
             most_worse_db: 0.05,
             least_better_db: 1.0,
@@ -70,42 +71,42 @@ impl Default for Setting {
 
 /// Held-out frames, predicted.
 #[derive(Clone, Debug, Default)]
-pub struct Predictions {
+pub struct HeldOutPredictions {
     /// With the nominal description; none where they were not.
-    pub nominal: Option<Prediction>,
+    pub nominal: Option<HeldOutScore>,
     /// With the fitted one.
-    pub fitted: Option<Prediction>,
+    pub fitted: Option<HeldOutScore>,
 }
 
-impl Predictions {
+impl HeldOutPredictions {
     /// The light that held-out frames were predicted from, by the fitted description where there is one.
-    fn light(&self) -> Option<&Curves> {
+    fn light(&self) -> Option<&LogLightCurves> {
         self.fitted.as_ref().or(self.nominal.as_ref()).map(|one| &one.light)
     }
 }
 
-/// What came of a diagnosis.
+/// The result of a diagnosis.
 #[derive(Clone, Debug)]
 pub struct Diagnosis {
     /// The report.
     pub report: Report,
-    /// The description with what was found put in; none when nothing was found.
+    /// The description with the findings applied; `None` without findings.
     pub fitted: Option<Sensor>,
-    /// What direct tests saw.
+    /// Findings of the direct tests.
     pub integrity: Integrity,
-    /// What was decided on a scene, or why nothing was.
-    pub proposed: Proposed,
+    /// The decision on a scene, or the reason for abstaining.
+    pub proposed: DecisionOutcome,
     /// Ids of effects that were withdrawn, as held-out frames are predicted worse with them.
     pub withdrawn: Vec<String>,
     /// Held-out frames.
-    pub predictions: Predictions,
+    pub predictions: HeldOutPredictions,
     /// The pixels of the predictions.
-    pub sample: Option<Sample>,
+    pub sample: Option<PixelSample>,
     /// Where effects of the report are, by id; those that were measured.
-    pub located: Vec<(String, Located)>,
+    pub located: Vec<(String, LocatedEffect)>,
 }
 
-/// What the direct tests see, less what the description states.
+/// Findings of the direct tests, without what the description states already.
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
@@ -118,39 +119,41 @@ pub fn check(case: &Case) -> Result<Integrity, NodeError> {
     Ok(integrity)
 }
 
-/// The recording with what direct tests found in its description, and without the pixels that they exclude:
-/// what is decided on a scene is the rest.
+/// The recording with the direct tests' findings in its description and without the pixels that they exclude.
+/// The scene is estimated from the rest.
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
-pub fn amend(case: &Case, integrity: &Integrity) -> Result<Case, NodeError> {
+pub fn amend_case(case: &Case, integrity: &Integrity) -> Result<Case, NodeError> {
     let nominal = case.nominal()?;
-    Ok(amended(case, &nominal, &Scales::of(case, &nominal), integrity))
+    Ok(apply_direct_findings(case, &nominal, &EffectScales::from_case(case, &nominal), integrity))
 }
 
-/// Joins what direct tests found and what was decided: verdict, fitted description, proof, report.
+/// Joins direct tests and the decision on a scene into verdict, fitted description, held-out check and
+/// report.
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
 pub fn confirm(
     case: &Case,
-    setting: &Setting,
+    setting: &ConfirmSetting,
     mut integrity: Integrity,
-    proposed: Proposed,
+    proposed: DecisionOutcome,
 ) -> Result<Diagnosis, NodeError> {
     let estimated = proposed.decided().map_or(&[][..], |decided| &decided.estimated);
     let stated = &case.sensor;
     let settled = Case { sensor: with_estimates(stated, estimated), ..case.clone() };
     let case = &settled;
     let nominal = case.nominal()?;
-    let scales = Scales::of(case, &nominal);
+    let scales = EffectScales::from_case(case, &nominal);
     let can_compare = can_compare(case, &integrity);
-    let sample =
-        (can_compare && setting.proof).then(|| Sample::of_proof(case)).filter(|sample| !sample.is_empty());
+    let sample = (can_compare && setting.proof)
+        .then(|| PixelSample::for_held_out_frames(case))
+        .filter(|sample| !sample.is_empty());
     let limits = proposed.decided().map_or(&[][..], |decided| &decided.detectability);
     let no_effect_shows = nothing_would_show(limits);
     if proposed.decided().is_none() || no_effect_shows.is_some() {
-        judged(case, &nominal, setting.least_better_db, &setting.solve, &mut integrity)?;
+        add_confirmed_proposals(case, &nominal, setting.least_better_db, &setting.solve, &mut integrity)?;
     }
     let mut answer = verdict(case, &nominal, &integrity, proposed.decided());
     let with = |findings: &[Finding]| {
@@ -159,25 +162,26 @@ pub fn confirm(
     };
     let with_curve = |unexplained: Option<&Unexplained>| {
         let curve = unexplained.and_then(|found| found.dependence.as_ref()).filter(|of| of.is_with_scene)?;
-        Some(Sensor { effects: curve.put_in(&case.sensor.effects, case.span.0)?, ..case.sensor.clone() })
+        let effects = curve.apply_to_effects(&case.sensor.effects, case.span.0)?;
+        Some(Sensor { effects, ..case.sensor.clone() })
     };
     let predicted = |sensor: &Sensor| {
         sample.as_ref().map_or(Ok(None), |sample| predict(case, sensor, sample, &setting.solve))
     };
     let before = predicted(stated)?;
-    let after = |findings: &[Finding]| -> Result<Option<Prediction>, NodeError> {
+    let after = |findings: &[Finding]| -> Result<Option<HeldOutScore>, NodeError> {
         Ok(with(findings).as_ref().map(&predicted).transpose()?.flatten())
     };
-    let is_worse = |after: &Option<Prediction>| {
+    let is_worse = |after: &Option<HeldOutScore>| {
         before
             .as_ref()
             .zip(after.as_ref())
             .is_some_and(|(before, after)| after.psnr_db() < before.psnr_db() - setting.most_worse_db)
     };
-    let stated_db = before.as_ref().map(Prediction::psnr_db);
+    let stated_db = before.as_ref().map(HeldOutScore::psnr_db);
     let better_db = (stated_db, setting.least_better_db);
     answer = by_frames(case, (&nominal, &scales), proposed.decided(), answer, better_db, after)?;
-    let (findings, fitted, withdrawn) = kept(&answer.findings, after, is_worse)?;
+    let (findings, fitted, withdrawn) = confirmed_findings(&answer.findings, after, is_worse)?;
     if !withdrawn.is_empty() {
         answer.set(findings);
     }
@@ -195,25 +199,27 @@ pub fn confirm(
             (changed, fitted) = (Some(sensor), after);
         }
     }
-    let predictions = Predictions { nominal: before, fitted };
+    let predictions = HeldOutPredictions { nominal: before, fitted };
     let curve = with_curve(answer.unexplained.as_ref());
     let light = predictions.light().zip(sample.as_ref()).map(|(light, sample)| (sample, light));
     let describe = |findings: &[Finding]| description(case, &nominal, &scales, findings);
-    let separate =
-        |pair: &Pair<'_>| light.map_or(Ok(None), |light| separation(case, light, pair, setting.seed));
+    let separate = |pair: &ExplanationPair<'_>| {
+        light.map_or(Ok(None), |light| separation(case, light, pair, setting.seed))
+    };
     let apart = two_best(case, &nominal, (proposed.decided(), &answer), describe, curve, separate)?;
-    let found = Joined { integrity: &integrity, proposed: &proposed, answer: &answer, apart: apart.as_ref() };
+    let found =
+        ReportInputs { integrity: &integrity, proposed: &proposed, answer: &answer, apart: apart.as_ref() };
     let report = report(case, setting, &found, changed.as_ref(), &predictions);
-    let located = answered(proposed.decided(), &answer);
+    let located = locations_of_findings(proposed.decided(), &answer);
     Ok(Diagnosis { located, report, fitted: changed, integrity, proposed, withdrawn, predictions, sample })
 }
 
-/// Why finding nothing decides nothing, where it does not: a test that could not be made, or that would have
-/// shown nothing. What is lacking is empty where `integrity` lists it.
+/// Reason why the absence of findings is inconclusive: a test that could not be made, or one without power.
+/// `None` where it is conclusive. `integrity` lists missing data itself.
 fn undecided(
     case: &Case,
-    answer: &Answer,
-    proposed: &Proposed,
+    answer: &JoinedFindings,
+    proposed: &DecisionOutcome,
     can_compare: bool,
     no_effect_shows: Option<String>,
 ) -> Option<Vec<String>> {
@@ -221,38 +227,43 @@ fn undecided(
         return None;
     }
     match proposed {
-        Proposed::Nothing(why) if unstated::without_scene(&case.sensor).is_some() => {
+        DecisionOutcome::Nothing(why) if unstated::without_scene(&case.sensor).is_some() => {
             Some(vec![format!("no direct test contradicts the description, and {why}")])
         }
-        Proposed::Nothing(why) => Some(vec![why.clone()]),
+        DecisionOutcome::Nothing(why) => Some(vec![why.clone()]),
         _ if !can_compare => Some(Vec::new()),
         _ => no_effect_shows.map(|why| vec![why]),
     }
 }
 
-/// The description with findings put in; none where they have no number that is sought.
-fn description(case: &Case, nominal: &Nominal, scales: &Scales, findings: &[Finding]) -> Option<Sensor> {
-    let found: Vec<(&str, &[Number])> =
+/// The description with findings applied; `None` where no finding has a searchable parameter.
+fn description(
+    case: &Case,
+    nominal: &Nominal,
+    scales: &EffectScales,
+    findings: &[Finding],
+) -> Option<Sensor> {
+    let found: Vec<(&str, &[NamedNumber])> =
         findings.iter().map(|finding| (&finding.id[..], &finding.values[..])).collect();
-    let is_sought = |(id, numbers): &(&str, &[Number])| {
+    let is_sought = |(id, numbers): &(&str, &[NamedNumber])| {
         numbers.iter().any(|(name, _)| Candidate::find(id, name).is_some())
     };
     found.iter().any(is_sought).then(|| fitted(&case.sensor, nominal, scales, &found))
 }
 
-/// Findings that stand, what is predicted with them, and the ids of those that are withdrawn.
-type Kept = (Vec<Finding>, Option<Prediction>, Vec<String>);
+/// Findings that are kept, the held-out score with them, and ids of the withdrawn ones.
+type ConfirmedFindings = (Vec<Finding>, Option<HeldOutScore>, Vec<String>);
 
-/// Findings without those with which held-out frames are predicted worse. `after`: what is predicted with
+/// Findings without those that make held-out predictions worse. `after` computes the held-out score with
 /// findings.
-fn kept(
+fn confirmed_findings(
     findings: &[Finding],
-    after: impl Fn(&[Finding]) -> Result<Option<Prediction>, NodeError>,
-    is_worse: impl Fn(&Option<Prediction>) -> bool,
-) -> Result<Kept, NodeError> {
+    after: impl Fn(&[Finding]) -> Result<Option<HeldOutScore>, NodeError>,
+    is_worse: impl Fn(&Option<HeldOutScore>) -> bool,
+) -> Result<ConfirmedFindings, NodeError> {
     let (mut kept, mut predicted) = (findings.to_vec(), after(&systematic(findings))?);
     if is_worse(&predicted) {
-        let fewer = fewer(findings);
+        let fewer = leave_one_out(findings);
         for (n, left) in fewer.iter().enumerate() {
             predicted = after(&systematic(left))?;
             if n + 1 == fewer.len() || !is_worse(&predicted) {
@@ -274,9 +285,9 @@ fn systematic(findings: &[Finding]) -> Vec<Finding> {
     findings.iter().filter(|one| !is_random(&one.id)).cloned().collect()
 }
 
-/// Findings without one of those that an estimate of the scene made, the weakest left out first; at last
-/// without all of them. What direct tests found stays, and what is random.
-fn fewer(findings: &[Finding]) -> Vec<Vec<Finding>> {
+/// Subsets of the findings: each without one finding of the scene, the weakest first, and finally without all
+/// of them. Direct and random findings stay.
+fn leave_one_out(findings: &[Finding]) -> Vec<Vec<Finding>> {
     let is_judged = |one: &&Finding| !one.is_direct() && !is_random(&one.id);
     let estimated: Vec<&str> = findings.iter().filter(is_judged).map(|finding| &finding.id[..]).collect();
     let without = |ids: &[&str]| {
@@ -286,24 +297,25 @@ fn fewer(findings: &[Finding]) -> Vec<Vec<Finding>> {
     one_less.chain([without(&estimated)]).collect()
 }
 
-/// What a report states.
-struct Joined<'a> {
+/// Inputs of a report.
+struct ReportInputs<'a> {
     integrity: &'a Integrity,
-    proposed: &'a Proposed,
-    answer: &'a Answer,
+    proposed: &'a DecisionOutcome,
+    answer: &'a JoinedFindings,
     /// What separates the two best explanations.
-    apart: Option<&'a Apart>,
+    apart: Option<&'a SeparatedExplanations>,
 }
 
 fn report(
     case: &Case,
-    setting: &Setting,
-    found: &Joined<'_>,
+    setting: &ConfirmSetting,
+    found: &ReportInputs<'_>,
     changed: Option<&Sensor>,
-    predictions: &Predictions,
+    predictions: &HeldOutPredictions,
 ) -> Report {
-    let Joined { integrity, proposed, answer, apart } = *found;
-    let unnamed = answer.unexplained.iter().map(|found| Finding::unnamed(case, found, proposed.decided()));
+    let ReportInputs { integrity, proposed, answer, apart } = *found;
+    let unnamed =
+        answer.unexplained.iter().map(|found| Finding::from_unexplained(case, found, proposed.decided()));
     let effects: Vec<Finding> = answer.findings.iter().cloned().chain(unnamed).collect();
     let psnr = predictions
         .nominal
@@ -326,7 +338,8 @@ fn report(
         decided.and_then(|decided| decided.ks).zip(left).map(|(before, after)| BeforeAfter { before, after });
     let is_found = |id: &str| answer.findings.iter().any(|finding| finding.id == id);
     let limits = decided.map_or(&[][..], |decided| &decided.detectability);
-    let detectability: Vec<Detectable> = limits.iter().filter(|one| !is_found(&one.id)).cloned().collect();
+    let detectability: Vec<MinimumDetectable> =
+        limits.iter().filter(|one| !is_found(&one.id)).cloned().collect();
     Report {
         schema: SCHEMA.to_owned(),
         verdict: answer.verdict,
@@ -337,7 +350,7 @@ fn report(
             .and_then(|decided| decided.residual_left)
             .filter(|_| answer.findings.iter().any(|finding| !finding.is_direct())),
         effects,
-        fit: Fit { heldout_nats_per_event: nats, heldout_frame_psnr_db: psnr, calibration_ks },
+        fit: DescriptionFit { heldout_nats_per_event: nats, heldout_frame_psnr_db: psnr, calibration_ks },
         detectability,
         scene: integrity.scene.clone(),
         estimated: decided.map_or_else(Vec::new, |decided| decided.estimated.clone()),
@@ -357,14 +370,15 @@ fn report(
     }
 }
 
-/// The report of a recording that could not be read as one: its data contradict the format or themselves.
-pub fn broken(why: &str, seed: u64) -> Report {
+/// The report of unreadable data, which violate the format or are inconsistent. `why` is the reason, in
+/// words.
+pub fn unreadable_report(why: &str, seed: u64) -> Report {
     Report {
         schema: SCHEMA.to_owned(),
         verdict: Verdict::BrokenData,
         summary: why.to_owned(),
         effects: Vec::new(),
-        fit: Fit::default(),
+        fit: DescriptionFit::default(),
         detectability: Vec::new(),
         scene: Vec::new(),
         estimated: Vec::new(),
@@ -384,30 +398,30 @@ pub fn broken(why: &str, seed: u64) -> Report {
     }
 }
 
-/// What is stated of a recording with something that no effect of the catalogue explains.
+/// Sentence about a dependence that no effect of the catalogue explains.
 fn without_a_name(found: Option<&Unexplained>) -> String {
-    let mut said =
+    let mut text =
         "the recording differs from the description, and no effect of the catalogue explains how".to_owned();
-    let Some(found) = found else { return said };
-    said += &format!("; it depends on {}", found.covariate);
+    let Some(found) = found else { return text };
+    text += &format!("; it depends on {}", found.covariate);
     if !found.also_possible.is_empty() {
-        said += &format!(" ({} would do about as well)", found.also_possible.join(", "));
+        text += &format!(" ({} would do about as well)", found.also_possible.join(", "));
     }
-    said
+    text
 }
 
 fn summary(
     case: &Case,
     integrity: &Integrity,
-    answer: &Answer,
-    decided: Option<&Decided>,
-    limits: &[Detectable],
+    answer: &JoinedFindings,
+    decided: Option<&SceneDecision>,
+    limits: &[MinimumDetectable],
 ) -> String {
     let name = |finding: &Finding| {
         let others: String = finding.also_possible.iter().map(|id| format!(" or {id}")).collect();
         format!("{}{others}", finding.id)
     };
-    let said = match answer.verdict {
+    let text = match answer.verdict {
         Verdict::BrokenData => return integrity.broken.join("; "),
         Verdict::Insufficient => return integrity.lacking.join("; "),
         Verdict::Consistent => agrees(limits),
@@ -419,33 +433,33 @@ fn summary(
     };
     let Some(decided) = decided else {
         let left_out = unstated::without_scene(&case.sensor).filter(|_| is_enough(case));
-        return left_out.map_or(said.clone(), |why| format!("{said}; {why}"));
+        return left_out.map_or(text.clone(), |why| format!("{text}; {why}"));
     };
-    let near = nearly(decided, answer);
+    let near = near_threshold_note(decided, answer);
     let near = if near.is_empty() {
         near
     } else {
         format!("; near the detection threshold, and not reported: {near}")
     };
-    format!("{said} ({}){near}{}", looked_at_of(decided), estimated(&decided.estimated))
+    format!("{text} ({}){near}{}", evaluated_part(decided), estimated(&decided.estimated))
 }
 
-/// That nothing is found, and how much would have been.
-fn agrees(limits: &[Detectable]) -> String {
-    let said = "the recording agrees with the description as far as these tests see";
+/// Sentence for no findings, with the minimum detectable effects.
+fn agrees(limits: &[MinimumDetectable]) -> String {
+    let text = "the recording agrees with the description as far as these tests see";
     let (seen, unseen) = seen_and_unseen(limits);
     match seen.len() + unseen.len() {
-        0 => format!("{said}; detectability says how far that is"),
+        0 => format!("{text}; detectability says how far that is"),
         all => format!(
-            "{said}: {} of {all} effects would be seen at their usual size (detectability)",
+            "{text}: {} of {all} effects would be seen at their usual size (detectability)",
             seen.len()
         ),
     }
 }
 
-/// What the description leaves open, as the end of a sentence.
-fn estimated(all: &[Estimate]) -> String {
-    let one = |one: &Estimate| {
+/// Estimated parameters of the description, as the end of a sentence.
+fn estimated(all: &[SceneEstimate]) -> String {
+    let one = |one: &SceneEstimate| {
         let [value, low, high] =
             [one.estimate, one.ci95[0], one.ci95[1]].map(|value| readable(value, &one.unit));
         format!("{} {value} ({low} to {high})", one.field)
@@ -454,16 +468,16 @@ fn estimated(all: &[Estimate]) -> String {
     if all.is_empty() { String::new() } else { format!("; estimated with the scene: {}", all.join(", ")) }
 }
 
-/// From this share of its detection threshold on, a test is said to have nearly reached it.
+/// A test is reported as near its detection threshold from this share of it on.
 const NEARLY: f64 = 0.5;
 
-/// What came near its detection threshold on the scene without being reported, with its share of it.
-fn nearly(decided: &Decided, answer: &Answer) -> String {
+/// Unreported effects near their detection threshold on the scene, with their share of it.
+fn near_threshold_note(decided: &SceneDecision, answer: &JoinedFindings) -> String {
     let is_reported = |id: &str| {
         let mut reported = answer.findings.iter().flat_map(|one| one.also_possible.iter().chain([&one.id]));
         reported.any(|reported| reported == id)
     };
-    let share = |one: &Proposal| one.score * one.probability;
+    let share = |one: &EffectProposal| one.score * one.probability;
     let near =
         decided.proposals.iter().filter(|one| (NEARLY..1.0).contains(&share(one)) && !is_reported(one.id()));
     near.map(|one| format!("{} ({:.0} % of it)", CANDIDATES[one.candidate].label(), 100.0 * share(one)))
@@ -472,7 +486,7 @@ fn nearly(decided: &Decided, answer: &Answer) -> String {
 }
 
 /// Which events were held against which scene.
-fn looked_at_of(decided: &Decided) -> String {
+fn evaluated_part(decided: &SceneDecision) -> String {
     let scene = match decided.name.as_str() {
         "given" => "on known light",
         "patches" => "on a scene in parts",
@@ -491,18 +505,18 @@ fn looked_at_of(decided: &Decided) -> String {
     format!("{scene}, {:.0} % of the events{when}{place}{other}", 100.0 * decided.share)
 }
 
-/// What nothing was found out about.
-fn not_testable(case: &Case, proposed: &Proposed, findings: &[Finding]) -> Vec<NotTestable> {
+/// Effects that were not testable.
+fn not_testable(case: &Case, proposed: &DecisionOutcome, findings: &[Finding]) -> Vec<NotTestable> {
     let why = match proposed {
-        Proposed::Decided(_) => return Vec::new(),
+        DecisionOutcome::Decided(_) => return Vec::new(),
         _ if case.frame_count() < FEWEST_FRAMES => {
             "it needs events and frames of the same scene, and there are not enough frames"
         }
         _ if case.events.len() < FEWEST_EVENTS => {
             "it needs events and frames of the same scene, and there are not enough events"
         }
-        Proposed::Nothing(why) => why,
-        Proposed::NotAsked => "it needs the scene, and no test that estimates the scene took part",
+        DecisionOutcome::Nothing(why) => why,
+        DecisionOutcome::NotAsked => "it needs the scene, and no test that estimates the scene took part",
     };
     let is_tested = |id: &str| {
         TESTED.contains(&id) && case.events.len() >= FEWEST_EVENTS
@@ -529,7 +543,7 @@ fn digest(case: &Case) -> String {
     for pixel in 0..case.events.pixels() {
         let numbers: Vec<i64> = case
             .events
-            .of(pixel)
+            .of_pixel(pixel)
             .iter()
             .flat_map(|event| [event.t_in_ns, event.t_off_ns, event.polarity.into()])
             .collect();

@@ -1,16 +1,16 @@
 //! A whole diagnosis of small recordings, with something decided that is given beforehand.
 
 use super::*;
-use crate::stages::Proposal;
+use crate::stages::EffectProposal;
 use crate::testing;
 
-fn diagnosed(case: &Case, proposed: Proposed) -> Diagnosis {
-    confirm(case, &Setting::default(), check(case).unwrap(), proposed).unwrap()
+fn diagnosed(case: &Case, proposed: DecisionOutcome) -> Diagnosis {
+    confirm(case, &ConfirmSetting::default(), check(case).unwrap(), proposed).unwrap()
 }
 
-fn clock(value: f64) -> Proposed {
+fn clock(value: f64) -> DecisionOutcome {
     let candidate = CANDIDATES.iter().position(|one| one.id == "clock_offset").unwrap();
-    let proposal = Proposal {
+    let proposal = EffectProposal {
         candidate,
         score: 1.1,
         probability: 0.9,
@@ -18,15 +18,15 @@ fn clock(value: f64) -> Proposed {
         passed: true,
         heldout_nats_per_event: Some(0.5),
         ks: Some(0.02),
-        ..Proposal::default()
+        ..EffectProposal::default()
     };
-    Proposed::Decided(Box::new(Decided {
+    DecisionOutcome::Decided(Box::new(SceneDecision {
         name: "picture".into(),
         detected: true,
         proposals: vec![proposal],
         nats_per_event: Some(-2.0),
         ks: Some(0.2),
-        ..Decided::default()
+        ..SceneDecision::default()
     }))
 }
 
@@ -59,19 +59,19 @@ fn what_predicts_held_out_frames_worse_is_withdrawn() {
 
 #[test]
 fn frames_are_no_evidence_of_what_is_random() {
-    let Proposed::Decided(decided) = clock(3e-3) else { panic!("something is decided") };
+    let DecisionOutcome::Decided(decided) = clock(3e-3) else { panic!("something is decided") };
     let candidate = CANDIDATES.iter().position(|one| one.id == "threshold_mismatch").unwrap();
     // Noise that is so wide predicts frames worse, and what it is about is not known of any pixel.
-    let mismatch = Proposal { candidate, value: 0.3, ..decided.proposals[0].clone() };
-    let both = Decided { proposals: vec![mismatch], second: decided.proposals.clone(), ..*decided };
-    let found = diagnosed(&testing::case(), Proposed::Decided(Box::new(both)));
+    let mismatch = EffectProposal { candidate, value: 0.3, ..decided.proposals[0].clone() };
+    let both = SceneDecision { proposals: vec![mismatch], second: decided.proposals.clone(), ..*decided };
+    let found = diagnosed(&testing::case(), DecisionOutcome::Decided(Box::new(both)));
     assert_eq!(found.report.effects[0].id, "threshold_mismatch");
     assert_eq!((found.report.effects.len(), found.withdrawn), (1, vec!["clock_offset".to_owned()]));
 }
 
 #[test]
-fn a_sound_recording_is_consistent_and_says_what_was_not_tested() {
-    let found = diagnosed(&testing::case(), Proposed::NotAsked);
+fn a_nominal_recording_is_consistent_and_untested_effects_are_listed() {
+    let found = diagnosed(&testing::case(), DecisionOutcome::NotAsked);
     assert_eq!(found.report.verdict, Verdict::Consistent);
     assert!(found.report.effects.is_empty() && found.fitted.is_none());
     assert!(found.report.fit.calibration_ks.is_none());
@@ -81,28 +81,32 @@ fn a_sound_recording_is_consistent_and_says_what_was_not_tested() {
 
 #[test]
 fn finding_nothing_where_the_scene_is_no_evidence_is_not_consistency() {
-    let found = diagnosed(&testing::case(), Proposed::Nothing("too few events".into()));
+    let found = diagnosed(&testing::case(), DecisionOutcome::Nothing("too few events".into()));
     assert_eq!(found.report.verdict, Verdict::Insufficient);
     assert!(found.report.summary.contains("too few events"), "{}", found.report.summary);
     assert!(found.report.not_testable.iter().all(|one| one.why == "too few events"));
-    let silent = Proposed::Decided(Box::new(Decided { name: "picture".into(), ..Decided::default() }));
+    let silent = DecisionOutcome::Decided(Box::new(SceneDecision {
+        name: "picture".into(),
+        ..SceneDecision::default()
+    }));
     assert_eq!(diagnosed(&testing::case(), silent).report.verdict, Verdict::Consistent);
 }
 
 #[test]
 fn finding_nothing_counts_where_an_effect_would_have_shown_at_its_usual_size() {
-    let limit = |id: &str, minimal_detectable: f64| Detectable {
+    let limit = |id: &str, minimal_detectable: f64| MinimumDetectable {
         id: id.into(),
         parameter: "offset_s".into(),
         minimal_detectable,
         usual: Some(5e-4),
         unit: "s".into(),
-        ..Detectable::default()
+        ..MinimumDetectable::default()
     };
-    let diagnosed_with = |detectability: Vec<Detectable>| {
+    let diagnosed_with = |detectability: Vec<MinimumDetectable>| {
         let other_scene = "the picture shows nothing".into();
-        let silent = Decided { name: "pixels".into(), other_scene, detectability, ..Decided::default() };
-        diagnosed(&testing::case(), Proposed::Decided(Box::new(silent))).report
+        let silent =
+            SceneDecision { name: "pixels".into(), other_scene, detectability, ..SceneDecision::default() };
+        diagnosed(&testing::case(), DecisionOutcome::Decided(Box::new(silent))).report
     };
     let sees = diagnosed_with(vec![limit("clock_offset", 2e-4), limit("second_pole", 1e-3)]);
     assert_eq!(sees.verdict, Verdict::Consistent);
@@ -118,7 +122,7 @@ fn finding_nothing_counts_where_an_effect_would_have_shown_at_its_usual_size() {
 #[test]
 fn events_alone_are_insufficient_unless_a_direct_test_speaks() {
     let alone = Case { frames: None, ..testing::case() };
-    let found = diagnosed(&alone, Proposed::NotAsked);
+    let found = diagnosed(&alone, DecisionOutcome::NotAsked);
     assert_eq!(found.report.verdict, Verdict::Insufficient);
     assert!(found.report.summary.contains("0 frames"), "{}", found.report.summary);
 }
@@ -132,12 +136,12 @@ fn the_same_recording_gives_the_same_bytes() {
 #[test]
 fn an_effect_that_the_description_states_is_no_finding() {
     let step = serde_json::json!({"step": "130 us"});
-    let effects: crate::record::Described =
+    let effects: crate::record::EffectParameters =
         [("timestamp_quantization".to_owned(), step.as_object().unwrap().clone())].into_iter().collect();
     let mut case = testing::case_with(&effects);
     // The stated resolution is that of the recorder: 1 ns.
     assert_eq!(
-        diagnosed(&case, Proposed::NotAsked)
+        diagnosed(&case, DecisionOutcome::NotAsked)
             .integrity
             .findings
             .iter()
@@ -146,5 +150,5 @@ fn an_effect_that_the_description_states_is_no_finding() {
         ["timestamp_quantization"]
     );
     case.sensor.effects = effects;
-    assert!(diagnosed(&case, Proposed::NotAsked).integrity.findings.is_empty());
+    assert!(diagnosed(&case, DecisionOutcome::NotAsked).integrity.findings.is_empty());
 }

@@ -1,22 +1,22 @@
-//! A finding, as a direct test or a scene measured it: the catalogue's words, numbers, evidence and place.
+//! Findings from direct tests, scenes and episodes: declaration, parameters, evidence and location.
 
 use crate::candidates::{CANDIDATES, Candidate};
-use crate::dependence::Moved;
+use crate::dependence::AffectedQuantity;
 use crate::integrity::Departure;
 use crate::integrity::episodes::Episode;
 use crate::report::{DIRECT, Evidence, Finding, Location, MASK_LIMIT, Parameter};
-use crate::stages::{Decided, Proposal, Unexplained};
+use crate::stages::{EffectProposal, SceneDecision, Unexplained};
 use crate::unstated;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::{EffectDecl, Stage, catalogue};
 
-/// The id of what no effect of the catalogue is.
+/// The id of an uncatalogued finding.
 pub(crate) const UNNAMED: &str = "unnamed";
 
 impl Finding {
-    /// Of a direct test.
-    pub fn of_departure(case: &Case, nominal: &Nominal, departure: &Departure) -> Finding {
+    /// From the departure that a direct test measured.
+    pub fn from_departure(case: &Case, nominal: &Nominal, departure: &Departure) -> Finding {
         let decl = decl(departure.id);
         let evidence = Evidence {
             statistic: departure.statistic / departure.threshold,
@@ -25,16 +25,16 @@ impl Finding {
             found_by: vec![DIRECT.to_owned()],
             ..Evidence::default()
         };
-        let mut finding = Finding::of(&decl, location(case, &decl, departure), evidence);
+        let mut finding = Finding::from_catalogue(&decl, location(case, &decl, departure), evidence);
         finding.plain = format!("{}: {}", decl.about, departure.seen);
-        if let Some((id, because)) = unstated::alike(&case.sensor, departure) {
+        if let Some((id, because)) = unstated::alternative_explanation(&case.sensor, departure) {
             finding.also_possible.push(id.to_owned());
             finding.plain += &format!("; the front end is not stated, and {because}");
         }
         for (name, value) in &departure.parameters {
             let ci95 = departure.interval(name);
             if let Some(candidate) = Candidate::find(departure.id, name) {
-                finding.put(candidate, *value, ci95, &case.sensor, nominal);
+                finding.add_parameter(candidate, *value, ci95, &case.sensor, nominal);
                 continue;
             }
             // Numbers that are no candidates of their own.
@@ -50,10 +50,10 @@ impl Finding {
         finding
     }
 
-    /// Of a failure that comes and goes.
-    pub fn of_episode(case: &Case, episode: &Episode) -> Finding {
+    /// From a temporary failure.
+    pub fn from_episode(case: &Case, episode: &Episode) -> Finding {
         let decl = episode.failure.id().map(decl);
-        let mut location = everywhere(case, decl.as_ref());
+        let mut location = whole_recording(case, decl.as_ref());
         location.stream = "events".to_owned();
         location.covariate = "time".to_owned();
         let Episode { time_ns, rows, columns, pixels, statistic, seen, .. } = episode;
@@ -66,18 +66,22 @@ impl Finding {
         let from_to = time_ns.map(|t_ns| format!("{:.1} ms", t_ns as f64 * 1e-6));
         let plain = format!("from {} to {}: {seen}", from_to[0], from_to[1]);
         match &decl {
-            Some(decl) => {
-                Finding { plain: format!("{}, {plain}", decl.about), ..Finding::of(decl, location, evidence) }
-            }
+            Some(decl) => Finding {
+                plain: format!("{}, {plain}", decl.about),
+                ..Finding::from_catalogue(decl, location, evidence)
+            },
             None => {
                 let insertion = episode.failure.insertion();
-                Finding { plain: plain.clone(), ..Finding::nameless(plain, insertion, location, evidence) }
+                Finding {
+                    plain: plain.clone(),
+                    ..Finding::uncatalogued(plain, insertion, location, evidence)
+                }
             }
         }
     }
 
-    /// Of a scene of this name.
-    pub fn of_proposal(case: &Case, nominal: &Nominal, scene: &str, proposal: &Proposal) -> Finding {
+    /// From a proposal on the scene named `scene`.
+    pub fn from_proposal(case: &Case, nominal: &Nominal, scene: &str, proposal: &EffectProposal) -> Finding {
         let candidate = &CANDIDATES[proposal.candidate];
         let evidence = Evidence {
             statistic: proposal.score,
@@ -89,19 +93,21 @@ impl Finding {
             found_by: vec![scene.to_owned()],
         };
         let decl = candidate.decl();
-        let mut finding = Finding::of(&decl, everywhere(case, Some(&decl)), evidence);
+        let mut finding = Finding::from_catalogue(&decl, whole_recording(case, Some(&decl)), evidence);
         finding.ks = proposal.ks;
-        finding.put(candidate, proposal.value, proposal.ci95, &case.sensor, nominal);
+        finding.add_parameter(candidate, proposal.value, proposal.ci95, &case.sensor, nominal);
         finding
     }
 
-    /// Of what no effect of the catalogue explains, on a decided scene or by a direct test.
-    pub fn unnamed(case: &Case, found: &Unexplained, decided: Option<&Decided>) -> Finding {
-        let mut location = everywhere(case, None);
-        found.located(decided).into_iter().for_each(|located| located.put(&mut location));
+    /// From a dependence that no effect of the catalogue explains, on a scene or in a direct test.
+    pub fn from_unexplained(case: &Case, found: &Unexplained, decided: Option<&SceneDecision>) -> Finding {
+        let mut location = whole_recording(case, None);
+        found.located(decided).into_iter().for_each(|located| located.copy_to(&mut location));
         location.covariate.clone_from(&found.covariate);
-        let is_direct =
-            found.dependence.as_ref().is_some_and(|dependence| dependence.moved == Moved::EventRate);
+        let is_direct = found
+            .dependence
+            .as_ref()
+            .is_some_and(|dependence| dependence.moved == AffectedQuantity::EventRate);
         let by = decided.filter(|_| !is_direct).map_or(DIRECT, |decided| &decided.name);
         let evidence = Evidence {
             statistic: found.score,
@@ -109,12 +115,12 @@ impl Finding {
             found_by: vec![by.to_owned()],
             ..Evidence::default()
         };
-        let nameless = Finding::nameless(found.equation.clone(), &found.insertion, location, evidence);
+        let nameless = Finding::uncatalogued(found.equation.clone(), &found.insertion, location, evidence);
         Finding { also_possible: found.also_possible.clone(), ..nameless }
     }
 
-    /// Of what no effect of the catalogue is.
-    fn nameless(equation: String, insertion: &str, location: Location, evidence: Evidence) -> Finding {
+    /// An uncatalogued finding.
+    fn uncatalogued(equation: String, insertion: &str, location: Location, evidence: Evidence) -> Finding {
         Finding {
             id: UNNAMED.into(),
             also_possible: Vec::new(),
@@ -138,7 +144,7 @@ fn decl(id: &str) -> EffectDecl {
         .unwrap_or_else(|| unreachable!("findings are of the catalogue"))
 }
 
-fn everywhere(case: &Case, decl: Option<&EffectDecl>) -> Location {
+fn whole_recording(case: &Case, decl: Option<&EffectDecl>) -> Location {
     Location {
         stream: match decl.map(|decl| decl.stage) {
             Some(Stage::Exposure) => "frames",
@@ -158,11 +164,11 @@ fn everywhere(case: &Case, decl: Option<&EffectDecl>) -> Location {
 }
 
 fn location(case: &Case, decl: &EffectDecl, departure: &Departure) -> Location {
-    let mut location = everywhere(case, Some(decl));
+    let mut location = whole_recording(case, Some(decl));
     location.polarity = departure.polarity.to_owned();
     if !departure.pixels.is_empty() {
         let places: Vec<(u32, u32)> =
-            departure.pixels.iter().map(|&pixel| case.place(pixel as usize)).collect();
+            departure.pixels.iter().map(|&pixel| case.pixel_place(pixel as usize)).collect();
         let ends = |values: Vec<u32>| {
             [values.iter().copied().min().unwrap_or(0), values.iter().copied().max().unwrap_or(0)]
         };

@@ -1,13 +1,12 @@
-//! The fitted description: the stated one with what was found put in, in the form that simulator and solver
-//! load.
+//! The fitted description: the stated one with the findings applied, as simulator and solver load it.
 //!
-//! An effect whose number has a field of its own in a description (time constants, thresholds, blind time,
-//! black level, row time, reset rule) changes that field; all others stand under `[effects]`.
+//! Parameters with a field of their own (time constants, thresholds, blind time, black level, row time, reset
+//! rule) change that field. All others stand under `[effects]`.
 
-use crate::candidates::{Candidate, Scales, Trial};
+use crate::candidates::{Candidate, EffectScales, Trial};
 use crate::integrity::{Integrity, hot, stamps};
-use crate::record::Described;
-use crate::report::{Number, six_digits};
+use crate::record::EffectParameters;
+use crate::report::{NamedNumber, six_digits};
 use photocurrent_core::Sensor;
 use photocurrent_core::quantity::Duration;
 use photocurrent_scene::case::Case;
@@ -16,9 +15,14 @@ use photocurrent_sensor::effects::catalogue;
 use photocurrent_sensor::effects::sought::Field;
 
 /// A description with effects put in: of each the catalogue's id, and numbers.
-pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(&str, &[Number])]) -> Sensor {
+pub fn fitted(
+    sensor: &Sensor,
+    nominal: &Nominal,
+    scales: &EffectScales,
+    found: &[(&str, &[NamedNumber])],
+) -> Sensor {
     let mut sensor = sensor.clone();
-    let mut trial = Trial::stated(nominal);
+    let mut trial = Trial::nominal(nominal);
     for (id, numbers) in found {
         for (candidate, value) in
             numbers.iter().filter_map(|(name, value)| Some((Candidate::find(id, name)?, six_digits(*value))))
@@ -37,7 +41,7 @@ pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(&st
 /// Puts numbers of an effect that are no candidates of their own (the phase of a coupling, the rate of hot
 /// pixels) with those that are; each in the unit of its declaration. Nothing where the description does not
 /// state the effect under `[effects]`.
-fn add_numbers(effects: &mut Described, id: &str, numbers: &[Number]) {
+fn add_numbers(effects: &mut EffectParameters, id: &str, numbers: &[NamedNumber]) {
     let Some(stated) = effects.get_mut(id) else { return };
     let Some(decl) = catalogue().into_iter().map(|kind| kind.decl).find(|decl| decl.id == id) else { return };
     for (name, value) in numbers.iter().filter(|(name, _)| Candidate::find(id, name).is_none()) {
@@ -46,13 +50,17 @@ fn add_numbers(effects: &mut Described, id: &str, numbers: &[Number]) {
     }
 }
 
-/// The recording with what direct tests found in its description, and without the pixels that they exclude,
-/// what is decided on a scene is the rest.
-pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Integrity) -> Case {
-    let mut amended = case.without(&integrity.masked);
+/// The recording with the direct tests' findings in its description and without the pixels that they exclude.
+pub fn apply_direct_findings(
+    case: &Case,
+    nominal: &Nominal,
+    scales: &EffectScales,
+    integrity: &Integrity,
+) -> Case {
+    let mut amended = case.without_pixels(&integrity.masked);
     // Hot rows and pixels are out with their pixels.
     let rest = integrity.findings.iter().filter(|departure| !hot::IDS.contains(&departure.id));
-    let found: Vec<(&str, &[Number])> =
+    let found: Vec<(&str, &[NamedNumber])> =
         rest.clone().map(|departure| (departure.id, &departure.parameters[..])).collect();
     amended.sensor = fitted(&case.sensor, nominal, scales, &found);
     if let Some(step) = rest.filter(|departure| departure.id == stamps::GRID).find_map(|of| of.value("step"))
@@ -62,8 +70,7 @@ pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Inte
     amended
 }
 
-/// The text of a fitted description, with a word on where it comes from: what was found, each with what else
-/// it may be.
+/// The text of a fitted description, headed by a comment that lists the findings and their alternatives.
 pub fn with_findings(fitted: &Sensor, found: &[(String, Vec<String>)]) -> String {
     let mut text = String::from("# The stated sensor with what `photocurrent diagnose` found put in.\n");
     for (id, also_possible) in found {
@@ -90,8 +97,8 @@ fn put_in_field(sensor: &mut Sensor, nominal: &Nominal, candidate: &Candidate, v
         Field::ThresholdNoise => sensor.comparator.threshold_noise = Some(six_digits(value)),
         Field::Refractory => sensor.readout.refractory = duration(value),
         Field::Reset => {
-            let mut trial = Trial::stated(nominal);
-            candidate.apply(&mut trial, 1.0, &Scales::default());
+            let mut trial = Trial::nominal(nominal);
+            candidate.apply(&mut trial, 1.0, &EffectScales::default());
             sensor.comparator.reset = trial.nominal.reset;
         }
         Field::BlackLevel => sensor.frames.black_level_dn = Some(value),
@@ -114,9 +121,9 @@ mod tests {
     fn fitted_with(found: &[(&str, &'static str, f64)]) -> Sensor {
         let case = testing::case();
         let nominal = case.nominal().unwrap();
-        let scales = Scales::of(&case, &nominal);
-        let numbers: Vec<[Number; 1]> = found.iter().map(|(_, name, value)| [(*name, *value)]).collect();
-        let found: Vec<(&str, &[Number])> =
+        let scales = EffectScales::from_case(&case, &nominal);
+        let numbers: Vec<[NamedNumber; 1]> = found.iter().map(|(_, name, value)| [(*name, *value)]).collect();
+        let found: Vec<(&str, &[NamedNumber])> =
             found.iter().zip(&numbers).map(|((id, ..), numbers)| (*id, &numbers[..])).collect();
         fitted(&testing::sensor(), &nominal, &scales, &found)
     }
@@ -180,7 +187,7 @@ mod tests {
     fn every_candidate_gives_a_description_that_loads() {
         let case = testing::case();
         let nominal = case.nominal().unwrap();
-        let scales = Scales::of(&case, &nominal);
+        let scales = EffectScales::from_case(&case, &nominal);
         for candidate in CANDIDATES.iter() {
             let sensor = fitted(
                 &testing::sensor(),

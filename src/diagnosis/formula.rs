@@ -1,7 +1,7 @@
-//! Formulas that a measured curve may follow.
+//! Parametric formulas for a measured response curve.
 
 use crate::covariates::Covariate;
-use crate::report::short;
+use crate::report::four_digits;
 use photocurrent_sensor::form::{Form, Term};
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +19,7 @@ pub(crate) fn applies(form: Form, covariate: Covariate, low: f64, high: f64) -> 
 }
 
 /// Shape numbers of a form to be tried where the variable takes values from `low` to `high`.
-pub(crate) fn tried(form: Form, low: f64, high: f64) -> Vec<f64> {
+pub(crate) fn shape_values(form: Form, low: f64, high: f64) -> Vec<f64> {
     let range = high - low;
     let steps = |from: f64, to: f64| -> Vec<f64> {
         let at = |k: usize| from * libm::pow(to / from, k as f64 / (TRIED - 1) as f64);
@@ -51,12 +51,12 @@ pub struct Formula {
     /// A second form that is added, whose amplitudes follow those of the first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plus: Option<Term>,
-    /// In the unit of what is moved: a share, seconds or events a second. The mean of c over all events is
-    /// 0.
+    /// In the unit of the changed quantity: a share, seconds or events per second. The mean of c over all
+    /// events is 0.
     pub constant: f64,
     /// The same.
     pub amplitudes: Vec<f64>,
-    /// Half the difference of what two halves of the pixels give, of each amplitude.
+    /// Half the difference of the estimates from two halves of the pixels, for each amplitude.
     pub errors: Vec<f64>,
     /// Held-out gain in log-likelihood over no dependence, nats an event.
     pub gain: f64,
@@ -72,20 +72,20 @@ impl Formula {
         covariate: Covariate,
         period_s: Option<f64>,
     ) -> String {
-        let number = |value: f64| format!("{}{unit}", short(scale * value));
+        let number = |value: f64| format!("{}{unit}", four_digits(scale * value));
         let x = covariate.name();
         if let (Form::Sine, [sine, cosine]) = (self.form, &self.amplitudes[..]) {
             let (size, phase) = (libm::hypot(*sine, *cosine), libm::atan2(*cosine, *sine));
             let error = libm::hypot(self.errors[0], self.errors[1]);
-            let of =
-                period_s.map_or_else(|| x.to_owned(), |period_s| format!("{} Hz t", short(1.0 / period_s)));
-            let phase = format!("{} {}", if phase < 0.0 { "-" } else { "+" }, short(phase.abs()));
+            let of = period_s
+                .map_or_else(|| x.to_owned(), |period_s| format!("{} Hz t", four_digits(1.0 / period_s)));
+            let phase = format!("{} {}", if phase < 0.0 { "-" } else { "+" }, four_digits(phase.abs()));
             return format!("{} (+- {}) * sin(2 pi {of} {phase})", number(size), number(error));
         }
         let terms = std::iter::once(Term { form: self.form, shape: self.shape }).chain(self.plus);
         let written = |(term, (size, error)): (Term, (&f64, &f64))| {
             let sign = if *size < 0.0 { "-" } else { "+" };
-            format!(" {sign} {} (+- {}) * {}", number(size.abs()), number(*error), of_term(&term, x))
+            format!(" {sign} {} (+- {}) * {}", number(size.abs()), number(*error), format_term(&term, x))
         };
         let sum: String = terms.zip(self.amplitudes.iter().zip(&self.errors)).map(written).collect();
         format!("{}{sum}", number(self.constant))
@@ -93,8 +93,8 @@ impl Formula {
 }
 
 /// A term with one amplitude, of the variable `x`.
-fn of_term(term: &Term, x: &str) -> String {
-    let shape = short(term.shape);
+fn format_term(term: &Term, x: &str) -> String {
+    let shape = four_digits(term.shape);
     match term.form {
         Form::Linear => x.to_owned(),
         Form::Logarithm => format!("ln({x})"),
@@ -141,7 +141,11 @@ mod tests {
         let sine = formula(Form::Sine, 0.0, &[0.03, 0.04]);
         assert_eq!(
             sine.equation(SHARE, Covariate::AcPhase, Some(0.005)),
-            format!("5 % (+- {} %) * sin(2 pi 200 Hz t + {})", short(0.1 * 2.0_f64.sqrt()), short(0.9272952))
+            format!(
+                "5 % (+- {} %) * sin(2 pi 200 Hz t + {})",
+                four_digits(0.1 * 2.0_f64.sqrt()),
+                four_digits(0.9272952)
+            )
         );
     }
 }

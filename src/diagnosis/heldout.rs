@@ -1,15 +1,15 @@
-//! Frames that are held out, predicted from the events and the other frames, with the nominal description and
-//! with the fitted one.
+//! Predicts held-out frames from events and the other frames, with the nominal and with the fitted
+//! description.
 //!
-//! Every third frame is held out, the light is estimated from what is left by the solver and with the options
-//! of `solve/map` ([`photocurrent_solve::solve_pixels`]), effects undone,
-//! and the held-out frames are what the camera would read of it.
+//! Every third frame is held out. The photocurrent is estimated from the rest by the solver and with the
+//! options of `solve/map` ([`photocurrent_solve::solve_pixels`]), effects undone. The camera model then
+//! predicts the held-out frames from it.
 //!
-//! Limit: where effects mix the light of neighbours, or couple all pixels, the rows around the sample are
-//! solved as well, which takes as long as a solution of the whole recording.
+//! Limit: where effects mix the light of neighbours or couple all pixels, the rows around the sample are
+//! solved as well. That takes as long as a solution of the whole recording.
 
-use crate::curves::Curves;
-use crate::sample::Sample;
+use crate::curves::LogLightCurves;
+use crate::sample::PixelSample;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{NodeError, Sensor};
 use photocurrent_scene::case::Case;
@@ -24,9 +24,9 @@ const KEPT: usize = 1;
 /// The longest step of light in a prediction, ns.
 const STEP_NS: i64 = 500_000;
 
-/// How well held-out frames are predicted.
+/// Prediction error of held-out frames.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Prediction {
+pub struct HeldOutScore {
     /// Mean square error, DN squared.
     pub square_error: f64,
     /// Peak for a signal-to-noise ratio, DN: saturation, or the largest value.
@@ -37,10 +37,10 @@ pub struct Prediction {
     /// Root mean square error by held-out frame: its number, DN.
     pub by_frame: Vec<(usize, f64)>,
     /// The light it was predicted from.
-    pub light: Curves,
+    pub light: LogLightCurves,
 }
 
-impl Prediction {
+impl HeldOutScore {
     /// Peak signal-to-noise ratio, dB.
     pub fn psnr_db(&self) -> f64 {
         10.0 * libm::log10(self.peak_dn * self.peak_dn / f64::max(self.square_error, 1e-12))
@@ -56,9 +56,9 @@ impl Prediction {
 pub(crate) fn predict(
     case: &Case,
     sensor: &Sensor,
-    sample: &Sample,
+    sample: &PixelSample,
     options: &SolveOptions,
-) -> Result<Option<Prediction>, NodeError> {
+) -> Result<Option<HeldOutScore>, NodeError> {
     let nominal = case.described(sensor)?;
     let undo = Undo::new(from_description(&sensor.effects).map_err(NodeError::usage)?);
     let Some(frames) = &case.frames else { return Ok(None) };
@@ -69,7 +69,7 @@ pub(crate) fn predict(
     let (mut sum, mut count, mut largest) = (0.0, 0.0, 0.0_f64);
     let mut read = Conditional::default();
     for (n, &pixel) in sample.pixels.iter().enumerate().filter(|(n, _)| light.is_known[*n]) {
-        let (_, y) = case.place(pixel as usize);
+        let (_, y) = case.pixel_place(pixel as usize);
         let (t_ns, log_light) = light.pixel(n);
         let track = Track::new(t_ns, log_light, STEP_NS);
         let stated = |l: usize| {
@@ -122,23 +122,23 @@ pub(crate) fn predict(
         .filter(|(_, (_, count))| *count > 0.0)
         .map(|(frame, (sum, count))| (*frame, libm::sqrt(sum / count)))
         .collect();
-    Ok(Some(Prediction { square_error: sum / count, peak_dn, by_pixel, by_frame, light }))
+    Ok(Some(HeldOutScore { square_error: sum / count, peak_dn, by_pixel, by_frame, light }))
 }
 
 /// The light of the pixels as `solve/map` estimates it, effects undone.
 fn estimate(
     case: &Case,
     sensor: &Sensor,
-    sample: &Sample,
+    sample: &PixelSample,
     options: &SolveOptions,
-) -> Result<Curves, NodeError> {
-    let (events, Some(frames)) = case.streams() else { return Ok(Curves::default()) };
+) -> Result<LogLightCurves, NodeError> {
+    let (events, Some(frames)) = case.streams() else { return Ok(LogLightCurves::default()) };
     let sensor = with_defaults(sensor);
     let recording = Recording { events: &events, frames: &frames, sensor: &sensor };
     // Standard deviations do not enter a prediction.
     let options = SolveOptions { sigma: false, ..*options };
     let tracks = solve_pixels(&recording, &options, &sample.pixels, &())?;
-    Ok(Curves::from_pixels(tracks.into_iter().map(|track| {
+    Ok(LogLightCurves::from_pixels(tracks.into_iter().map(|track| {
         if track.t_ns.is_empty() {
             return (vec![case.span.0], vec![0.0], false);
         }
@@ -148,8 +148,7 @@ fn estimate(
     })))
 }
 
-/// The description with what a diagnosis takes for 0 where it is not stated: time constants and refractory
-/// period.
+/// The description with 0 for time constants and refractory period that it does not state.
 fn with_defaults(sensor: &Sensor) -> Sensor {
     let zero = Duration::new(0);
     let mut sensor = sensor.clone();
@@ -173,7 +172,7 @@ pub(crate) fn hold_out(case: &Case) -> Option<(Case, Vec<usize>)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::Described;
+    use crate::record::EffectParameters;
     use crate::testing;
 
     #[test]
@@ -189,10 +188,10 @@ mod tests {
             ("exposure_time", serde_json::json!({"difference": "1 ms"}), 6.0),
             ("image_lag", serde_json::json!({"fraction": 0.2}), 3.0),
         ] {
-            let effects: Described =
+            let effects: EffectParameters =
                 [(id.to_owned(), parameters.as_object().unwrap().clone())].into_iter().collect();
             let case = testing::case_of(16, &effects);
-            let sample = Sample::all(&case, 4);
+            let sample = PixelSample::every_pixel(&case, 4);
             let options = SolveOptions::default();
             let before = predict(&case, &case.sensor, &sample, &options).unwrap().unwrap();
             let right = Sensor { effects, ..case.sensor.clone() };
@@ -209,7 +208,7 @@ mod tests {
     #[test]
     fn a_description_without_a_front_end_and_a_blind_time_predicts_as_one_that_states_0() {
         let case = testing::case();
-        let sample = Sample::all(&case, 4);
+        let sample = PixelSample::every_pixel(&case, 4);
         let predicted = |of: Option<Duration>| {
             let mut sensor = case.sensor.clone();
             (sensor.front_end.tau_0, sensor.front_end.alpha, sensor.readout.refractory) = (of, of, of);

@@ -29,7 +29,7 @@
 //! - [`report`]: the results of a diagnosis, as `diagnosis.json`; [`units`]: its numbers for people.
 //! - [`page`]: the same as a page of HTML.
 //!
-//! The crate knows no files and no graphs. It never sees true light.
+//! The crate uses no files and no graphs. It never reads true light.
 
 #![cfg_attr(not(test), warn(unreachable_pub))]
 
@@ -65,7 +65,7 @@ pub mod unstated;
 pub mod verdict;
 pub mod whole;
 
-pub use whole::{Options, diagnose};
+pub use whole::{DiagnosisOptions, diagnose};
 
 #[cfg(test)]
 mod testing;

@@ -1,12 +1,15 @@
-//! Limits of detection against usual sizes: which effects a recording would have shown.
+//! Limits of detection relative to usual sizes: which effects a recording would have shown.
 
-use crate::report::Detectable;
+use crate::report::MinimumDetectable;
 use crate::units::readable;
 
 /// The smaller limit of each parameter, of two scenes on either of which an effect would have been found.
-pub(crate) fn either(one: &[Detectable], other: &[Detectable]) -> Vec<Detectable> {
-    let is_same = |a: &Detectable, b: &Detectable| a.id == b.id && a.parameter == b.parameter;
-    let smaller = |own: &Detectable| {
+pub(crate) fn smaller_limits(
+    one: &[MinimumDetectable],
+    other: &[MinimumDetectable],
+) -> Vec<MinimumDetectable> {
+    let is_same = |a: &MinimumDetectable, b: &MinimumDetectable| a.id == b.id && a.parameter == b.parameter;
+    let smaller = |own: &MinimumDetectable| {
         let there = other.iter().find(|there| is_same(own, there));
         there.filter(|there| there.minimal_detectable < own.minimal_detectable).unwrap_or(own).clone()
     };
@@ -16,7 +19,7 @@ pub(crate) fn either(one: &[Detectable], other: &[Detectable]) -> Vec<Detectable
 
 /// Effects that would have been found at their usual size, and those that would not, by id, in the order
 /// of the limits: an effect is found by any of its parameters.
-pub(crate) fn seen_and_unseen(limits: &[Detectable]) -> (Vec<&str>, Vec<&str>) {
+pub(crate) fn seen_and_unseen(limits: &[MinimumDetectable]) -> (Vec<&str>, Vec<&str>) {
     let mut ids: Vec<&str> = Vec::new();
     limits.iter().filter(|one| one.usual.is_some()).for_each(|one| {
         if !ids.contains(&&one.id[..]) {
@@ -27,23 +30,23 @@ pub(crate) fn seen_and_unseen(limits: &[Detectable]) -> (Vec<&str>, Vec<&str>) {
 }
 
 /// A limit over the usual size.
-fn times(limit: &Detectable) -> f64 {
+fn times(limit: &MinimumDetectable) -> f64 {
     limit.usual.map_or(f64::INFINITY, |usual| limit.minimal_detectable / usual)
 }
 
-/// So many effects are listed.
+/// Most effects that a sentence lists.
 const MOST_LISTED: usize = 3;
 
-/// Why a recording that shows nothing decides nothing: no effect would have been found at its usual size.
-/// None where one would, or where no limit is known.
-pub(crate) fn nothing_would_show(limits: &[Detectable]) -> Option<String> {
+/// Reason why no finding is inconclusive: no effect of its usual size would have been detected. `None` where
+/// one would, or where no limit is known.
+pub(crate) fn nothing_would_show(limits: &[MinimumDetectable]) -> Option<String> {
     let (seen, unseen) = seen_and_unseen(limits);
     if !seen.is_empty() || unseen.is_empty() {
         return None;
     }
-    let mut near: Vec<&Detectable> = limits.iter().filter(|one| times(one).is_finite()).collect();
+    let mut near: Vec<&MinimumDetectable> = limits.iter().filter(|one| times(one).is_finite()).collect();
     near.sort_by(|a, b| times(a).total_cmp(&times(b)));
-    let one = |of: &&Detectable| {
+    let one = |of: &&MinimumDetectable| {
         let [limit, usual] =
             [of.minimal_detectable, of.usual.unwrap_or(0.0)].map(|value| readable(value, &of.unit));
         format!("{} ({}) from {limit} on, usual is {usual}", of.id, of.parameter)
@@ -60,14 +63,14 @@ pub(crate) fn nothing_would_show(limits: &[Detectable]) -> Option<String> {
 mod tests {
     use super::*;
 
-    fn limit(id: &str, parameter: &str, minimal_detectable: f64, usual: Option<f64>) -> Detectable {
-        Detectable {
+    fn limit(id: &str, parameter: &str, minimal_detectable: f64, usual: Option<f64>) -> MinimumDetectable {
+        MinimumDetectable {
             id: id.into(),
             parameter: parameter.into(),
             minimal_detectable,
             usual,
             unit: "s".into(),
-            ..Detectable::default()
+            ..MinimumDetectable::default()
         }
     }
 
@@ -92,7 +95,7 @@ mod tests {
     fn of_two_scenes_the_smaller_limit_counts() {
         let one = [limit("a", "p", 2.0, None), limit("b", "p", 1.0, None)];
         let other = [limit("a", "p", 1.0, None), limit("b", "p", 3.0, None), limit("c", "p", 4.0, None)];
-        let smaller: Vec<f64> = either(&one, &other).iter().map(|of| of.minimal_detectable).collect();
+        let smaller: Vec<f64> = smaller_limits(&one, &other).iter().map(|of| of.minimal_detectable).collect();
         assert_eq!(smaller, [1.0, 1.0, 4.0]);
     }
 }

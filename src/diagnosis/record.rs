@@ -1,14 +1,14 @@
-//! What a sensor with effects would have recorded of an estimated scene: the same pixels, exposures and
-//! stamps as the recording.
+//! Simulates what a sensor with effects would have recorded of an estimated scene, with the pixels, exposures
+//! and stamps of the recording.
 //!
-//! Light is log-linear between knots in a scene and linear in the forward model: steep pieces are cut until
-//! both agree to a part in a thousand. Beyond the sample the nearest pixel of the same row or column stands
-//! in where an effect mixes neighbours' light. The load of a readout queue is that of the recording. Stamps
-//! are rounded to the recording's grid, frames get the noise that the description states and that the caller
+//! Light is log-linear between knots in a scene and linear in the forward model. Steep pieces are split until
+//! both agree to a part in a thousand. Outside the sample, the nearest pixel of the same row or column is
+//! used where an effect mixes the light of neighbours. The load of a readout queue is that of the recording.
+//! Stamps are rounded to the recording's grid. Frames get the stated noise and the noise that the caller
 //! estimated.
 
-use crate::curves::Curves;
-use crate::sample::Sample;
+use crate::curves::LogLightCurves;
+use crate::sample::PixelSample;
 use photocurrent_core::random::Random;
 use photocurrent_scene::case::{Case, CaseFrames, PixelEvent, PixelEvents};
 use photocurrent_scene::nominal::Nominal;
@@ -35,9 +35,9 @@ const MIXED_NS: i64 = 100_000;
 /// event by a microsecond.
 const TOLERANCE: f64 = 1e-5;
 
-/// What a simulated recording adds to the stated sensor.
+/// Conditions of a simulated recording in addition to the stated sensor.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Conditions {
+pub(crate) struct SimulatedConditions {
     /// Seed of everything random.
     pub seed: u64,
     /// Standard deviation of frame values as a share of the signal, beyond what is stated.
@@ -49,7 +49,7 @@ pub(crate) struct Conditions {
 }
 
 /// Effects with their parameters, by catalogue id, as `[effects]` of a sensor description states them.
-pub(crate) type Described = BTreeMap<String, Map<String, Value>>;
+pub(crate) type EffectParameters = BTreeMap<String, Map<String, Value>>;
 
 /// Records the sampled pixels with the nominal sensor and `more` effects in addition to (or, of the same id,
 /// instead of) those that the description states. Pixels outside the sample stay without events and with NaN
@@ -60,10 +60,10 @@ pub(crate) type Described = BTreeMap<String, Map<String, Value>>;
 pub(crate) fn record(
     case: &Case,
     nominal: &Nominal,
-    sample: &Sample,
-    scene: &Curves,
-    more: &Described,
-    conditions: &Conditions,
+    sample: &PixelSample,
+    scene: &LogLightCurves,
+    more: &EffectParameters,
+    conditions: &SimulatedConditions,
 ) -> Result<Case, String> {
     let effects = effects_of(case, more)?;
     let kernel = joined(&effects).map_err(|why| why.to_string())?.filter(|_| !conditions.is_mixed);
@@ -72,7 +72,9 @@ pub(crate) fn record(
     let one = |n: usize| -> (Vec<PixelEvent>, Vec<f32>) {
         let pixel = sample.pixels[n] as usize;
         let own = linear(scene, n);
-        let seen = kernel.as_ref().map_or_else(|| own.clone(), |kernel| mix(case, sample, scene, kernel, n));
+        let seen = kernel
+            .as_ref()
+            .map_or_else(|| own.clone(), |kernel| mix_neighbours(case, sample, scene, kernel, n));
         let site = case.site(pixel, conditions.seed);
         let draws = Random::new(conditions.seed, &[pixel as u64, 1]);
         let recorded = array.recorded(&site, &LinearLight::new(&seen.0, &seen.1), draws);
@@ -111,28 +113,28 @@ pub(crate) fn record(
     Ok(Case { events: PixelEvents::new(pixels), frames, sensor: case.sensor.clone(), ..*case })
 }
 
-/// What the description states with `more` in addition to (or, of the same id, instead of) it, given what the
-/// recording holds.
+/// Effects of the description with `more` added; an id in `more` replaces the stated one. Effects that depend
+/// on the load get that of the recording.
 ///
 /// # Errors
 /// When an effect or its parameters are not understood.
-pub(crate) fn effects_of(case: &Case, more: &Described) -> Result<Vec<Box<dyn Effect>>, String> {
+pub(crate) fn effects_of(case: &Case, more: &EffectParameters) -> Result<Vec<Box<dyn Effect>>, String> {
     let mut described = case.sensor.effects.clone();
     described.extend(more.iter().map(|(id, parameters)| (id.clone(), parameters.clone())));
     let mut effects = from_description(&described)?;
-    inform(case, &mut effects);
+    set_array_load(case, &mut effects);
     Ok(effects)
 }
 
-/// Gives effects that depend on the load what the recording holds.
-fn inform(case: &Case, effects: &mut [Box<dyn Effect>]) {
+/// Passes the event times of the recording to effects that depend on the load.
+fn set_array_load(case: &Case, effects: &mut [Box<dyn Effect>]) {
     if effects.iter().all(|effect| effect.informed(&[]).is_none()) {
         return;
     }
     let mut load: Vec<ArrayEvent> = Vec::with_capacity(case.events.len());
     for pixel in 0..case.events.pixels() {
-        let (x, y) = case.place(pixel);
-        load.extend(case.events.of(pixel).iter().map(|&event| ArrayEvent { x, y, event }));
+        let (x, y) = case.pixel_place(pixel);
+        load.extend(case.events.of_pixel(pixel).iter().map(|&event| ArrayEvent { x, y, event }));
     }
     load.sort_by_key(|event| event.event.t_off_ns);
     array::inform(effects, &load);
@@ -154,7 +156,7 @@ fn photocurrent(log_light: f64) -> f64 {
 }
 
 /// Instants and photocurrent of a pixel of the scene, fine enough to be taken as linear.
-fn linear(scene: &Curves, n: usize) -> (Vec<i64>, Vec<f64>) {
+fn linear(scene: &LogLightCurves, n: usize) -> (Vec<i64>, Vec<f64>) {
     let (t, u) = scene.pixel(n);
     let (mut instants, mut light) = (vec![t[0]], vec![photocurrent(u[0])]);
     for k in 1..t.len() {
@@ -169,16 +171,22 @@ fn linear(scene: &Curves, n: usize) -> (Vec<i64>, Vec<f64>) {
     (instants, light)
 }
 
-/// The mixture of neighbours that the event path sees.
-fn mix(case: &Case, sample: &Sample, scene: &Curves, kernel: &Kernel, n: usize) -> (Vec<i64>, Vec<f64>) {
-    let (x, y) = case.place(sample.pixels[n] as usize);
+/// The light of the event path: a mixture of the pixel and its neighbours.
+fn mix_neighbours(
+    case: &Case,
+    sample: &PixelSample,
+    scene: &LogLightCurves,
+    kernel: &Kernel,
+    n: usize,
+) -> (Vec<i64>, Vec<f64>) {
+    let (x, y) = case.pixel_place(sample.pixels[n] as usize);
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let neighbour = |tap: &Tap| {
         // As far towards the neighbour as the sample goes.
         let mut at = n;
         for (dx, dy) in [(tap.dx, tap.dy), (tap.dx.signum(), tap.dy.signum()), (tap.dx, 0), (0, tap.dy)] {
             let pixel = stand_in(y as usize, dy, height) * width + stand_in(x as usize, dx, width);
-            if let Some(place) = sample.place(pixel).filter(|&place| scene.is_known[place]) {
+            if let Some(place) = sample.index_of(pixel).filter(|&place| scene.is_known[place]) {
                 at = place;
                 break;
             }
@@ -231,9 +239,9 @@ mod tests {
     #[test]
     fn light_that_an_estimate_ran_away_with_is_recorded_all_the_same() {
         let case = testing::case();
-        let sample = Sample::all(&case, 4);
+        let sample = PixelSample::every_pixel(&case, 4);
         let run_away = |n: usize| [f64::NEG_INFINITY, 1e6, f64::NAN, 800.0][n % 4];
-        let scene = Curves::from_pixels(
+        let scene = LogLightCurves::from_pixels(
             (0..sample.len()).map(|n| (vec![0, 30_000_000], vec![4.0, run_away(n)], true)),
         );
         let recorded = record(
@@ -241,8 +249,8 @@ mod tests {
             &case.nominal().unwrap(),
             &sample,
             &scene,
-            &Described::new(),
-            &Conditions::default(),
+            &EffectParameters::new(),
+            &SimulatedConditions::default(),
         )
         .unwrap();
         assert_eq!(recorded.events.pixels(), case.events.pixels());

@@ -15,23 +15,23 @@ use std::collections::BTreeMap;
 /// The version of the form.
 pub const SCHEMA: &str = "photocurrent-diagnosis/1";
 
-/// What a diagnosis comes to.
+/// Verdict of a diagnosis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// Nothing that the recording shows contradicts the description.
+    /// The recording agrees with the description.
     Consistent,
-    /// One cause is named for what differs.
+    /// One effect explains the difference.
     Named,
     /// Several causes would do; the recording cannot decide.
     Ambiguous,
     /// Something differs, and no effect of the catalogue explains it.
     Unnamed,
-    /// What differs is not more than the errors of our own numbers.
+    /// The difference is within the numerical errors of this program.
     Numerical,
-    /// The data contradict themselves.
+    /// The data are inconsistent.
     BrokenData,
-    /// There is too little to say anything.
+    /// There are too few data for any conclusion.
     Insufficient,
 }
 
@@ -51,7 +51,7 @@ impl Verdict {
 }
 
 /// A parameter of an effect by its name, with a value in the unit of its declaration.
-pub type Number = (&'static str, f64);
+pub type NamedNumber = (&'static str, f64);
 
 /// One number of an effect.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -61,14 +61,14 @@ pub struct Parameter {
     /// 95 % interval; absent when it was not worked out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ci95: Option<[f64; 2]>,
-    /// The description's value, or the one that means nothing; absent when there is no such.
+    /// The description's value, or the one that means no effect; absent where there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub nominal: Option<f64>,
     /// `s`, `Hz`, `fraction`, ...
     pub unit: String,
 }
 
-/// Where, when and on what an effect shows.
+/// Location of an effect: pixels, rows, time, polarity and covariate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Location {
     /// `events`, `frames` or `both`.
@@ -81,7 +81,7 @@ pub struct Location {
     pub columns: [u32; 2],
     /// First and last instant, ns.
     pub time_ns: [i64; 2],
-    /// What it depends on, by the names of docs/formats.md.
+    /// Covariate, by the names of docs/formats.md.
     pub covariate: String,
     /// How it depends on that, in a word; absent when unknown.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -99,10 +99,10 @@ pub const DIRECT: &str = "direct";
 /// The most pixels that a location lists.
 pub const MASK_LIMIT: usize = 4096;
 
-/// The evidence of the recording for an effect. What was not measured is absent.
+/// The recording's evidence for an effect. Quantities that were not measured are absent.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
-    /// The statistic that the effect was found by, over the value from which it counts (1 = just).
+    /// The test's statistic over its detection threshold (1 = at the threshold).
     pub statistic: f64,
     /// Chance of so much without the effect.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -116,10 +116,10 @@ pub struct Evidence {
     /// The same per event.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub heldout_nats_per_event: Option<f64>,
-    /// Probability that the effect is this one, given that there is something; absent for direct tests.
+    /// Posterior probability of this effect, conditional on a difference; absent for direct tests.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub posterior: Option<f64>,
-    /// What found it: `direct`, or the scene it was found on (`picture`, `patches`, `given`).
+    /// Source of the finding: `direct`, or a scene (`picture`, `patches`, `given`).
     pub found_by: Vec<String>,
 }
 
@@ -144,9 +144,9 @@ pub struct Finding {
     pub evidence: Evidence,
     /// Its numbers as they are declared, by parameter. Not in the JSON.
     #[serde(skip)]
-    pub values: Vec<Number>,
-    /// Distance of what it leaves (of a second effect: what both leave) from the noise of the scene; none for
-    /// direct tests. Not in the JSON.
+    pub values: Vec<NamedNumber>,
+    /// Distance of the residuals with the effect (of a second one: with both) from the noise of the scene
+    /// (Kolmogorov and Smirnov); `None` for direct tests. Not in the JSON.
     #[serde(skip)]
     pub ks: Option<f64>,
 }
@@ -160,9 +160,10 @@ pub struct BeforeAfter {
     pub after: f64,
 }
 
-/// How well both descriptions predict measurements that no earlier step saw. What was not measured is absent.
+/// Fit of both descriptions to measurements that no earlier step used. Quantities that were not measured are
+/// absent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Fit {
+pub struct DescriptionFit {
     /// Log-likelihood of held-out measurements, nats per event.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub heldout_nats_per_event: Option<BeforeAfter>,
@@ -174,9 +175,9 @@ pub struct Fit {
     pub calibration_ks: Option<BeforeAfter>,
 }
 
-/// What could have been seen of an effect that is not claimed.
+/// Minimum detectable size of an effect that is not reported.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Detectable {
+pub struct MinimumDetectable {
     /// Catalogue id.
     pub id: String,
     /// Which number, by JSON key.
@@ -199,7 +200,7 @@ pub struct Detectable {
     pub unit: String,
 }
 
-/// A property of the scene that looks like one of the sensor, and is none.
+/// A property of the scene that resembles a sensor effect.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SceneProperty {
     /// `flicker`.
@@ -208,10 +209,10 @@ pub struct SceneProperty {
     pub frequency_hz: f64,
     /// Amplitude as a share of the light.
     pub depth: f64,
-    /// First and last instant, ns, of what is there for a while.
+    /// First and last instant, ns, of a temporary property.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_ns: Option<[i64; 2]>,
-    /// First and last row, of what is in a part of the array.
+    /// First and last row, where it covers a part of the array.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rows: Option<[u32; 2]>,
     /// And column.
@@ -229,22 +230,22 @@ impl SceneProperty {
         SceneProperty { property, frequency_hz, depth, ..SceneProperty::default() }
     }
 
-    /// Is it a rhythm of this frequency?
-    pub(crate) fn is_of(&self, frequency_hz: f64) -> bool {
+    /// Does it have this frequency?
+    pub(crate) fn has_frequency(&self, frequency_hz: f64) -> bool {
         (self.frequency_hz - frequency_hz).abs() <= ONE_RHYTHM_HZ
     }
 }
 
 /// A number that was estimated with the scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Estimate {
+pub struct SceneEstimate {
     /// Its TOML path in the sensor description.
     pub field: String,
     /// In `unit`.
     pub estimate: f64,
     /// 95 % interval, within the range.
     pub ci95: [f64; 2],
-    /// What the description states of it: the least and the largest value.
+    /// The description's range: least and largest value.
     pub range: [f64; 2],
     /// `s`, or empty where the field has none.
     pub unit: String,
@@ -259,7 +260,7 @@ pub struct NotTestable {
     pub why: String,
 }
 
-/// Where a report comes from.
+/// Provenance of a report.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
     /// Digest of events, frames and their times.
@@ -286,17 +287,17 @@ pub struct Report {
     /// Strongest first.
     pub effects: Vec<Finding>,
     /// Before and after.
-    pub fit: Fit,
-    /// What could have been seen.
-    pub detectability: Vec<Detectable>,
-    /// Not mismatches, but worth knowing.
+    pub fit: DescriptionFit,
+    /// Minimum detectable effects.
+    pub detectability: Vec<MinimumDetectable>,
+    /// Properties of the scene; no mismatches.
     pub scene: Vec<SceneProperty>,
     /// Numbers that the description states as a range, estimated with the scene.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub estimated: Vec<Estimate>,
-    /// What could not.
+    pub estimated: Vec<SceneEstimate>,
+    /// Effects that were not testable.
     pub not_testable: Vec<NotTestable>,
-    /// What to record to know more.
+    /// Recommended recordings.
     pub next_experiment: Vec<String>,
     /// Share of the misfit that the named effects leave; absent when it was not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -304,7 +305,7 @@ pub struct Report {
     /// The fitted description, next to the report; absent when there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor_fitted: Option<String>,
-    /// From what.
+    /// Provenance.
     pub provenance: Provenance,
 }
 
@@ -315,7 +316,7 @@ impl Report {
     /// When a number is not finite: a report never holds one.
     pub fn to_json(&self) -> Result<String, String> {
         let mut value = serde_json::to_value(self).map_err(|error| error.to_string())?;
-        round(&mut value);
+        round_numbers(&mut value);
         let mut text = serde_json::to_string_pretty(&value).map_err(|error| error.to_string())?;
         text.push('\n');
         Ok(text)
@@ -323,7 +324,7 @@ impl Report {
 }
 
 impl Report {
-    /// What is not testable by reason, in the order of the report: the reason, and the ids.
+    /// Effects that are not testable, grouped by reason in the order of the report: reason and ids.
     pub fn not_testable_by_reason(&self) -> Vec<(&str, Vec<&str>)> {
         let mut all: Vec<(&str, Vec<&str>)> = Vec::new();
         for one in &self.not_testable {
@@ -337,8 +338,8 @@ impl Report {
 }
 
 impl Finding {
-    /// What the catalogue says of an effect; numbers, location and evidence are the caller's.
-    pub fn of(decl: &EffectDecl, location: Location, evidence: Evidence) -> Finding {
+    /// A finding of the effect `decl` of the catalogue, without parameters.
+    pub fn from_catalogue(decl: &EffectDecl, location: Location, evidence: Evidence) -> Finding {
         Finding {
             id: decl.id.to_owned(),
             also_possible: Vec::new(),
@@ -358,9 +359,9 @@ impl Finding {
         self.evidence.found_by.iter().any(|by| by == DIRECT)
     }
 
-    /// Adds the number that a candidate seeks; a switch has none in the JSON. `sensor` is the description,
-    /// and `nominal` the same in numbers.
-    pub fn put(
+    /// Adds the parameter of a candidate; a switch has none in the JSON. `sensor`: the description,
+    /// `nominal`: the same in numbers.
+    pub fn add_parameter(
         &mut self,
         candidate: &Candidate,
         estimate: f64,
@@ -390,8 +391,8 @@ pub fn six_digits(value: f64) -> f64 {
     format!("{value:.5e}").parse().unwrap_or(value)
 }
 
-/// For people: four significant digits, plain where that is short.
-pub fn short(value: f64) -> String {
+/// A number as text: four significant digits, without an exponent where that is short.
+pub fn four_digits(value: f64) -> String {
     let rounded: f64 = format!("{value:.3e}").parse().unwrap_or(value);
     if rounded != 0.0 && (rounded.abs() < 1e-3 || rounded.abs() >= 1e6) {
         format!("{rounded:e}")
@@ -400,15 +401,15 @@ pub fn short(value: f64) -> String {
     }
 }
 
-fn round(value: &mut Value) {
+fn round_numbers(value: &mut Value) {
     match value {
         Value::Number(number) if number.is_f64() => {
             if let Some(rounded) = number.as_f64().map(six_digits).and_then(serde_json::Number::from_f64) {
                 *number = rounded;
             }
         }
-        Value::Array(values) => values.iter_mut().for_each(round),
-        Value::Object(fields) => fields.values_mut().for_each(round),
+        Value::Array(values) => values.iter_mut().for_each(round_numbers),
+        Value::Object(fields) => fields.values_mut().for_each(round_numbers),
         _ => {}
     }
 }
@@ -438,20 +439,20 @@ mod tests {
         let case = testing::case();
         let nominal = case.nominal().unwrap();
         let leak = CANDIDATES.iter().find(|candidate| candidate.id == "leak_events").unwrap();
-        let mut effect = Finding::of(
+        let mut effect = Finding::from_catalogue(
             &leak.decl(),
             location(),
             Evidence { statistic: 183.000_000_4, ..Evidence::default() },
         );
-        effect.put(leak, 1.0 / 3.0, Some([0.3, 0.4]), &case.sensor, &nominal);
+        effect.add_parameter(leak, 1.0 / 3.0, Some([0.3, 0.4]), &case.sensor, &nominal);
         let report = Report {
             schema: SCHEMA.to_owned(),
             verdict: Verdict::Named,
             summary: String::new(),
             effects: vec![effect],
-            fit: Fit {
+            fit: DescriptionFit {
                 heldout_frame_psnr_db: Some(BeforeAfter { before: 27.1, after: 31.0 }),
-                ..Fit::default()
+                ..DescriptionFit::default()
             },
             detectability: Vec::new(),
             scene: Vec::new(),
@@ -493,9 +494,9 @@ mod tests {
 
     #[test]
     fn numbers_are_short() {
-        assert_eq!(short(0.123_456), "0.1235");
-        assert_eq!(short(1.5e-5), "1.5e-5");
-        assert_eq!(short(0.0), "0");
-        assert_eq!(short(1234.6), "1235");
+        assert_eq!(four_digits(0.123_456), "0.1235");
+        assert_eq!(four_digits(1.5e-5), "1.5e-5");
+        assert_eq!(four_digits(0.0), "0");
+        assert_eq!(four_digits(1234.6), "1235");
     }
 }

@@ -1,19 +1,19 @@
-//! The period of something that is asked for at instants: the strongest Fourier component.
+//! The period of a series sampled at arbitrary instants: its strongest Fourier component.
 
 /// Instants are counted in bins of this, ns: a hundredth of the shortest period at 40 Hz, a quarter at 1 kHz.
 const BIN_NS: i64 = 250_000;
-/// The fastest rhythm that is looked for, Hz.
+/// The highest frequency that is searched, Hz.
 const FASTEST_HZ: f64 = 1000.0;
-/// The slowest has so many periods in a recording.
+/// Least number of periods in a recording.
 const FEWEST_PERIODS: f64 = 3.0;
 /// Frequencies lie this share of a period in the whole recording apart.
 const SPACING: f64 = 0.25;
-/// Rhythms of the frames and so many multiples of theirs are the frames'.
+/// Multiples of the frame rate that are attributed to the frames.
 const MULTIPLES: i64 = 4;
 
-/// A rhythm of what events miss.
+/// A periodic component of the residuals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Rhythm {
+pub(crate) struct ResidualRhythm {
     /// Its period, ns.
     pub period_ns: i64,
     /// Is its phase that of the reset that the event followed, as of thresholds, which are taken there?

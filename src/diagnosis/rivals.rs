@@ -1,20 +1,19 @@
-//! Effects that explain events nearly as well as the one that was chosen, judged by frames that were held
-//! out.
+//! Rival effects, which explain events nearly as well as the chosen one, compared by held-out frames.
 //!
-//! On a scene that follows events, effects that move all of them in one way differ in what frames show: a
-//! clock that is late by 1 ms before a turning fan gained less on the light of pixels than an exposure that
-//! is shorter by 2 ms, and predicts held-out frames 5 dB better. Whichever predicts them best is taken.
+//! On a scene that follows events, effects that shift all of them alike differ in frames. Before a turning
+//! fan a clock late by 1 ms gained less on the light of pixels than an exposure shorter by 2 ms, and predicts
+//! held-out frames 5 dB better. The effect that predicts them best is selected.
 
-use crate::candidates::{CANDIDATES, Scales};
-use crate::heldout::Prediction;
+use crate::candidates::{CANDIDATES, EffectScales};
+use crate::heldout::HeldOutScore;
 use crate::report::Finding;
-use crate::stages::{Decided, Proposal};
-use crate::verdict::Answer;
+use crate::stages::{EffectProposal, SceneDecision};
+use crate::verdict::JoinedFindings;
 use photocurrent_core::NodeError;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 
-/// An effect that explains so much of what the chosen one does is its rival. By the fan: 0.40.
+/// Least gain of a rival, as a share of the chosen effect's. By the fan: 0.40.
 const RIVAL_SHARE: f64 = 0.25;
 /// The most of them.
 const MOST_RIVALS: usize = 3;
@@ -22,20 +21,20 @@ const MOST_RIVALS: usize = 3;
 /// are predicted better, times the fitted one. The fan's clock was fitted at 0.4 ms.
 const LARGER: [f64; 4] = [1.0, 1.6, 2.5, 4.0];
 
-/// The answer with the effect of the scene that predicts held-out frames best, where that is better by
-/// `least_better_db` than the chosen one and than the description as it is, which comes to `stated_db`: what
-/// is better than a wrong effect alone explains no frames. `after`: what is predicted with findings.
+/// The findings with the scene's effect that predicts held-out frames best. It must be better by
+/// `least_better_db` than the chosen one and than the description as it is, which reaches `stated_db`: a gain
+/// over a wrong effect alone explains no frames. `after` computes the held-out score with findings.
 ///
 /// # Errors
 /// As `after`.
 pub(crate) fn by_frames(
     case: &Case,
-    (nominal, scales): (&Nominal, &Scales),
-    decided: Option<&Decided>,
-    mut answer: Answer,
+    (nominal, scales): (&Nominal, &EffectScales),
+    decided: Option<&SceneDecision>,
+    mut answer: JoinedFindings,
     (stated_db, least_better_db): (Option<f64>, f64),
-    after: impl Fn(&[Finding]) -> Result<Option<Prediction>, NodeError>,
-) -> Result<Answer, NodeError> {
+    after: impl Fn(&[Finding]) -> Result<Option<HeldOutScore>, NodeError>,
+) -> Result<JoinedFindings, NodeError> {
     let Some((decided, place, rivals)) = decided.and_then(|decided| {
         let place = answer.findings.iter().position(|one| !one.is_direct() && !is_random(&one.id))?;
         Some((decided, place, rivals(case, nominal, decided, &answer.findings[place])))
@@ -58,7 +57,7 @@ pub(crate) fn by_frames(
         let mut best: Option<(f64, Finding)> = None;
         for times in LARGER {
             let rival = if times == 1.0 { rival.clone() } else { larger(rival, times, nominal, scales) };
-            let finding = Finding::of_proposal(case, nominal, &decided.name, &rival);
+            let finding = Finding::from_proposal(case, nominal, &decided.name, &rival);
             let Some(db) = psnr_db(&finding)? else { break };
             if best.as_ref().is_some_and(|best| db <= best.0) {
                 break;
@@ -78,32 +77,31 @@ pub(crate) fn by_frames(
     Ok(answer)
 }
 
-/// A proposal of so many times the size, without an interval: what was fitted has another size.
-fn larger(one: &Proposal, times: f64, nominal: &Nominal, scales: &Scales) -> Proposal {
+/// A proposal with its size multiplied, without an interval: another size was fitted.
+fn larger(one: &EffectProposal, times: f64, nominal: &Nominal, scales: &EffectScales) -> EffectProposal {
     let candidate = &CANDIDATES[one.candidate];
     let size = times * candidate.effect_size(one.value, scales, nominal);
-    Proposal { value: candidate.value(size, scales, nominal), ci95: None, ..one.clone() }
+    EffectProposal { value: candidate.value(size, scales, nominal), ci95: None, ..one.clone() }
 }
 
-/// What explains about as much as a finding, of another effect: most first.
-fn rivals(case: &Case, nominal: &Nominal, decided: &Decided, finding: &Finding) -> Vec<Proposal> {
-    let gain = |one: &Proposal| one.heldout_nats_per_event.unwrap_or(0.0);
+/// Other effects that explain about as much as a finding, largest gain first.
+fn rivals(case: &Case, nominal: &Nominal, decided: &SceneDecision, finding: &Finding) -> Vec<EffectProposal> {
+    let gain = |one: &EffectProposal| one.heldout_nats_per_event.unwrap_or(0.0);
     let own = decided.proposals.iter().filter(|one| one.id() == finding.id).map(gain).fold(0.0, f64::max);
-    let is_rival = |one: &&Proposal| {
+    let is_rival = |one: &&EffectProposal| {
         let candidate = &CANDIDATES[one.candidate];
         one.id() != finding.id
             && !candidate.is_random
             && candidate.is_material(case, nominal, one.value)
             && gain(one) > RIVAL_SHARE * own
     };
-    let mut rivals: Vec<Proposal> = decided.proposals.iter().filter(is_rival).cloned().collect();
+    let mut rivals: Vec<EffectProposal> = decided.proposals.iter().filter(is_rival).cloned().collect();
     rivals.sort_by(|a, b| gain(b).total_cmp(&gain(a)).then(a.candidate.cmp(&b.candidate)));
     rivals.truncate(MOST_RIVALS);
     rivals
 }
 
-/// Is what an effect does random? Then it is not undone, and how well frames are predicted is no evidence
-/// of it.
+/// Is an effect random? It is then not undone, and held-out frames are no evidence for it.
 pub(crate) fn is_random(id: &str) -> bool {
     CANDIDATES.iter().any(|candidate| candidate.id == id && candidate.is_random)
 }
@@ -112,38 +110,40 @@ pub(crate) fn is_random(id: &str) -> bool {
 mod tests {
     use super::*;
     use crate::candidates::Candidate;
-    use crate::heldout::Prediction;
+    use crate::heldout::HeldOutScore;
     use crate::report::Verdict;
     use crate::testing;
 
     /// An effect that gains so many nats an event.
-    fn proposal(id: &str, parameter: &str, value: f64, gain: f64) -> Proposal {
-        Proposal {
+    fn proposal(id: &str, parameter: &str, value: f64, gain: f64) -> EffectProposal {
+        EffectProposal {
             candidate: Candidate::number(id, parameter).unwrap(),
             value,
             passed: true,
             heldout_nats_per_event: Some(gain),
-            ..Proposal::default()
+            ..EffectProposal::default()
         }
     }
 
     /// Frames that are predicted to so many dB.
-    fn prediction(db: f64) -> Prediction {
-        Prediction { square_error: libm::pow(10.0, -0.1 * db), peak_dn: 1.0, ..Prediction::default() }
+    fn prediction(db: f64) -> HeldOutScore {
+        HeldOutScore { square_error: libm::pow(10.0, -0.1 * db), peak_dn: 1.0, ..HeldOutScore::default() }
     }
 
     #[test]
     fn the_rival_that_predicts_frames_best_is_taken_where_it_is_clearly_better() {
         let case = testing::case();
         let nominal = case.nominal().unwrap();
-        let scales = Scales::of(&case, &nominal);
+        let scales = EffectScales::from_case(&case, &nominal);
         let exposure = proposal("exposure_time", "difference", -2e-3, 0.39);
         let clock = proposal("clock_offset", "offset", 1e-3, 0.16);
         let small = proposal("row_time", "row_time", 5e-5, 0.05);
-        let decided = Decided { proposals: vec![exposure.clone(), clock, small], ..Decided::default() };
+        let decided =
+            SceneDecision { proposals: vec![exposure.clone(), clock, small], ..SceneDecision::default() };
         let answer = || {
-            let finding = Finding::of_proposal(&case, &nominal, "pixels", &exposure);
-            let mut answer = Answer { verdict: Verdict::Consistent, findings: Vec::new(), unexplained: None };
+            let finding = Finding::from_proposal(&case, &nominal, "pixels", &exposure);
+            let mut answer =
+                JoinedFindings { verdict: Verdict::Consistent, findings: Vec::new(), unexplained: None };
             answer.set(vec![finding]);
             answer
         };

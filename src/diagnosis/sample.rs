@@ -1,10 +1,10 @@
-//! Which pixels are looked at: blocks spread over the array, in each zone the one with the most events.
+//! Selects pixels to evaluate: blocks spread over the array, in each zone the one with the most events.
 
 use photocurrent_scene::case::Case;
 
 /// Some pixels of an array.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Sample {
+pub struct PixelSample {
     /// Pixels (`y * width + x`), rising.
     pub pixels: Vec<u32>,
     /// Which of them are in the inner part of their block, so that their neighbours are there too; of the
@@ -21,11 +21,11 @@ pub struct Sample {
 
 const NOWHERE: u32 = u32::MAX;
 
-impl Sample {
+impl PixelSample {
     /// In each of `zones.0` x `zones.1` zones, the block of `side` x `side` pixels with the most events, of
     /// blocks whose mean number of events a pixel lies within `events`; a zone without one gives nothing.
     /// Inner pixels are those with `margin` pixels of the block around them.
-    pub fn blocks(case: &Case, zones: (u32, u32), side: u32, margin: u32, events: (f64, f64)) -> Sample {
+    pub fn blocks(case: &Case, zones: (u32, u32), side: u32, margin: u32, events: (f64, f64)) -> PixelSample {
         let (width, height) = (case.extent.width, case.extent.height);
         let mut chosen: Vec<(u32, u32, u32)> = Vec::new();
         for zone in 0..zones.0 * zones.1 {
@@ -54,13 +54,13 @@ impl Sample {
             }
         }
         pixels.sort_unstable();
-        Sample::new(case, zones.0, pixels)
+        PixelSample::new(case, zones.0, pixels)
     }
 
     /// Blocks of 6 x 6 pixels that together touch many rows and columns: in every band of six rows, those
     /// with the most events in each of `across` parts of the band's length, and the blocks around the few
     /// pixels that fire most against their surround. The inner 4 x 4 of each are marked.
-    pub fn spread(case: &Case, across: u32) -> Sample {
+    pub fn spread(case: &Case, across: u32) -> PixelSample {
         const SIDE: u32 = 6;
         let (columns, rows) = ((case.extent.width / SIDE).max(1), (case.extent.height / SIDE).max(1));
         let side = |length: u32| u32::min(SIDE, length);
@@ -86,7 +86,7 @@ impl Sample {
         for y in 1..case.extent.height.saturating_sub(1) {
             for x in 1..width.saturating_sub(1) {
                 let events = |dx: u32, dy: u32| {
-                    case.events.of(((y + dy - 1) * width + x + dx - 1) as usize).len() as i64
+                    case.events.of_pixel(((y + dy - 1) * width + x + dx - 1) as usize).len() as i64
                 };
                 let around = (0..3)
                     .flat_map(|dy| (0..3).map(move |dx| (dx, dy)))
@@ -115,17 +115,18 @@ impl Sample {
             }
         }
         pixels.sort_unstable();
-        Sample::new(case, columns, pixels)
+        PixelSample::new(case, columns, pixels)
     }
 
-    /// The blocks that `keep` says, with their numbers, and which places of this sample they have.
-    pub fn only(&self, keep: impl Fn(u32) -> bool) -> (Sample, Vec<usize>) {
+    /// Blocks for which `keep` returns true, with new numbers, and the indices of their pixels in this
+    /// sample.
+    pub fn select_blocks(&self, keep: impl Fn(u32) -> bool) -> (PixelSample, Vec<usize>) {
         let places: Vec<usize> = (0..self.len()).filter(|&n| keep(self.block[n])).collect();
         let mut place = vec![NOWHERE; self.place.len()];
         for (n, &from) in places.iter().enumerate() {
             place[self.pixels[from] as usize] = n as u32;
         }
-        let sample = Sample {
+        let sample = PixelSample {
             pixels: places.iter().map(|&n| self.pixels[n]).collect(),
             is_inner: places.iter().map(|&n| self.is_inner[n]).collect(),
             block: places.iter().map(|&n| self.block[n]).collect(),
@@ -136,10 +137,10 @@ impl Sample {
     }
 
     /// Every pixel, in blocks of `side` x `side`.
-    pub fn all(case: &Case, side: u32) -> Sample {
+    pub fn every_pixel(case: &Case, side: u32) -> PixelSample {
         let (width, height) = (case.extent.width, case.extent.height);
         let across = width.div_ceil(side);
-        Sample::new(
+        PixelSample::new(
             case,
             across,
             (0..width * height)
@@ -149,7 +150,7 @@ impl Sample {
     }
 
     /// These pixels, in blocks of `side` x `side`.
-    pub fn of_pixels(case: &Case, pixels: impl IntoIterator<Item = u32>, side: u32) -> Sample {
+    pub fn from_pixels(case: &Case, pixels: impl IntoIterator<Item = u32>, side: u32) -> PixelSample {
         let (width, across) = (case.extent.width, case.extent.width.div_ceil(side));
         let mut pixels: Vec<(u32, bool, u32)> = pixels
             .into_iter()
@@ -157,15 +158,15 @@ impl Sample {
             .collect();
         pixels.sort_unstable();
         pixels.dedup();
-        Sample::new(case, across, pixels)
+        PixelSample::new(case, across, pixels)
     }
 
-    fn new(case: &Case, across: u32, pixels: Vec<(u32, bool, u32)>) -> Sample {
+    fn new(case: &Case, across: u32, pixels: Vec<(u32, bool, u32)>) -> PixelSample {
         let mut place = vec![NOWHERE; case.extent.pixels()];
         for (n, (pixel, ..)) in (0..).zip(&pixels) {
             place[*pixel as usize] = n;
         }
-        Sample {
+        PixelSample {
             pixels: pixels.iter().map(|(pixel, ..)| *pixel).collect(),
             is_inner: pixels.iter().map(|(_, inner, _)| *inner).collect(),
             block: pixels.iter().map(|(.., block)| *block).collect(),
@@ -175,14 +176,14 @@ impl Sample {
         }
     }
 
-    /// The pixels in which the proof is looked for: blocks spread over the array, or all of a small one.
-    pub fn of_proof(case: &Case) -> Sample {
+    /// Pixels for the held-out check: blocks spread over the array, or all of a small one.
+    pub fn for_held_out_frames(case: &Case) -> PixelSample {
         const SIDE: u32 = 8;
         let zones = (6, 5);
         if case.extent.width < zones.0 * SIDE || case.extent.height < zones.1 * SIDE {
-            return Sample::all(case, SIDE);
+            return PixelSample::every_pixel(case, SIDE);
         }
-        Sample::blocks(case, zones, SIDE, 1, (3.0, 300.0))
+        PixelSample::blocks(case, zones, SIDE, 1, (3.0, 300.0))
     }
 
     /// Number of pixels.
@@ -195,8 +196,8 @@ impl Sample {
         self.pixels.is_empty()
     }
 
-    /// Where in the sample a pixel of the array stands.
-    pub fn place(&self, pixel: usize) -> Option<usize> {
+    /// Index of an array pixel in the sample; `None` outside.
+    pub fn index_of(&self, pixel: usize) -> Option<usize> {
         Some(self.place[pixel]).filter(|place| *place != NOWHERE).map(|place| place as usize)
     }
 }

@@ -5,21 +5,21 @@
 //! Everything follows from a seed. Limits: grey, no flicker, no noise of the light.
 
 use crate::candidates::Trial;
-use crate::curves::Curves;
-use crate::record::{Conditions, record};
-use crate::sample::Sample;
+use crate::curves::LogLightCurves;
+use crate::record::{SimulatedConditions, record};
+use crate::sample::PixelSample;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::random::Random;
 use photocurrent_core::sensor::Reset;
 use photocurrent_core::{Exposure, Extent, FrameTimes, Sensor};
 use photocurrent_scene::case::{Case, CaseFrames, PixelEvents};
-use photocurrent_scene::closed::sketch::{Motion, Sketch};
+use photocurrent_scene::closed::sketch::{Sketch, SketchMotion};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
 /// A simulated scene before a simulated sensor.
 #[derive(Clone, Debug)]
-pub struct MadeUp {
+pub struct SimulatedScene {
     /// The scene.
     pub sketch: Sketch,
     sensor: Sensor,
@@ -27,16 +27,16 @@ pub struct MadeUp {
     resolution_ns: i64,
     extent: Extent,
     span: (i64, i64),
-    /// Electrons a digital number, and read noise, DN, of frames; nobody states it.
+    /// Frame noise that the description does not state: electrons per DN, and read noise, DN.
     noise: Option<(f64, f64)>,
-    /// Noise of thresholds that nobody states, natural-log units.
+    /// Threshold noise that the description does not state, natural-log units.
     unstated_noise: f64,
     /// Light is taken this often, ns.
     step_ns: i64,
 }
 
-/// What a scene is drawn from, and what is drawn before all else.
-struct Draws {
+/// Random source of a scene, with the values drawn first.
+struct SceneDraws {
     random: Random,
     /// Which motion it is, 0 to 1.
     kind: f64,
@@ -49,166 +49,166 @@ struct Draws {
     height: f64,
 }
 
-impl Draws {
-    fn new(seed: u64, index: u64, extent: Extent) -> Draws {
+impl SceneDraws {
+    fn new(seed: u64, index: u64, extent: Extent) -> SceneDraws {
         let mut random = Random::new(seed, &[index, 77]);
         let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
         let kind = between(0.0, 1.0);
         let angle = between(0.0, TAU);
         let sign = if between(0.0, 1.0) < 0.5 { -1.0 } else { 1.0 };
         let (width, height) = (f64::from(extent.width), f64::from(extent.height));
-        Draws { random, kind, angle, sign, width, height }
+        SceneDraws { random, kind, angle, sign, width, height }
     }
 
-    fn between(&mut self, low: f64, high: f64) -> f64 {
+    fn uniform(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.random.uniform()
     }
 
-    /// A direction's (x, y) of a length.
-    fn along(length: f64, angle: f64) -> (f64, f64) {
+    /// The vector (x, y) of a length and an angle.
+    fn vector_of_length(length: f64, angle: f64) -> (f64, f64) {
         (length * libm::cos(angle), length * libm::sin(angle))
     }
 
     /// A place near the middle.
     fn centre(&mut self) -> (f64, f64) {
-        (0.5 * self.width + self.between(-5.0, 5.0), 0.5 * self.height + self.between(-5.0, 5.0))
+        (0.5 * self.width + self.uniform(-5.0, 5.0), 0.5 * self.height + self.uniform(-5.0, 5.0))
     }
 
-    /// What moves; `ends` as in [`MadeUp::of`], which lasts `end_ns`.
-    fn motion(&mut self, ends: [f64; 7], end_ns: i64) -> Motion {
+    /// The moving objects; `ends` as in [`SimulatedScene::draw_scene`], for `end_ns`.
+    fn motion(&mut self, ends: [f64; 7], end_ns: i64) -> SketchMotion {
         match ends.iter().position(|end| self.kind < *end) {
             Some(0) => self.texture(),
             Some(1) => self.star(),
             Some(2) => self.photograph(),
             Some(3) => self.layers(),
             Some(4) => self.fan(),
-            Some(5) => self.figure(),
+            Some(5) => self.walking_figure(),
             Some(6) => self.ball(end_ns),
             _ => self.discs(),
         }
     }
 
     /// A texture that drifts and shakes.
-    fn texture(&mut self) -> Motion {
-        Motion::Texture {
-            velocity: Draws::along(self.between(400.0, 1200.0), self.angle),
-            shake_px: self.between(0.5, 3.0),
-            shake_hz: self.between(5.0, 15.0),
+    fn texture(&mut self) -> SketchMotion {
+        SketchMotion::Texture {
+            velocity: SceneDraws::vector_of_length(self.uniform(400.0, 1200.0), self.angle),
+            shake_px: self.uniform(0.5, 3.0),
+            shake_hz: self.uniform(5.0, 15.0),
         }
     }
 
     /// A star that turns.
-    fn star(&mut self) -> Motion {
-        let rate = self.sign * self.between(1.5, 5.5) * TAU;
+    fn star(&mut self) -> SketchMotion {
+        let rate = self.sign * self.uniform(1.5, 5.5) * TAU;
         let centre = self.centre();
-        Motion::Star { spokes: self.between(3.0, 6.0).floor(), rate, centre }
+        SketchMotion::Star { spokes: self.uniform(3.0, 6.0).floor(), rate, centre }
     }
 
     /// A photograph that shakes, zooms and turns.
-    fn photograph(&mut self) -> Motion {
-        let Draws { angle, sign, width, height, .. } = *self;
-        let (share, hz) = (self.between(0.0, 1.0), self.between(3.0, 12.0));
-        let speed = self.between(100.0, 700.0);
-        Motion::Photograph {
+    fn photograph(&mut self) -> SketchMotion {
+        let SceneDraws { angle, sign, width, height, .. } = *self;
+        let (share, hz) = (self.uniform(0.0, 1.0), self.uniform(3.0, 12.0));
+        let speed = self.uniform(100.0, 700.0);
+        SketchMotion::Photograph {
             middle: (0.5 * width, 0.5 * height),
-            shake: (self.between(1.0, 8.0), hz),
-            turn: (sign * self.between(0.02, 0.2), self.between(2.0, 8.0)),
-            zoom: (self.between(0.02, 0.12), self.between(2.0, 6.0)),
-            drift: Draws::along(share * speed, angle),
+            shake: (self.uniform(1.0, 8.0), hz),
+            turn: (sign * self.uniform(0.02, 0.2), self.uniform(2.0, 8.0)),
+            zoom: (self.uniform(0.02, 0.12), self.uniform(2.0, 6.0)),
+            drift: SceneDraws::vector_of_length(share * speed, angle),
         }
     }
 
     /// Shapes before a texture.
-    fn layers(&mut self) -> Motion {
-        let Draws { angle, .. } = *self;
+    fn layers(&mut self) -> SketchMotion {
+        let SceneDraws { angle, .. } = *self;
         let (front, back, turn) =
-            (self.between(300.0, 1200.0), self.between(50.0, 500.0), self.between(0.5, 5.0));
-        Motion::Layers {
-            size: self.between(12.0, 24.0),
-            front: Draws::along(front, angle),
-            back: Draws::along(back, angle + turn),
+            (self.uniform(300.0, 1200.0), self.uniform(50.0, 500.0), self.uniform(0.5, 5.0));
+        SketchMotion::Layers {
+            size: self.uniform(12.0, 24.0),
+            front: SceneDraws::vector_of_length(front, angle),
+            back: SceneDraws::vector_of_length(back, angle + turn),
         }
     }
 
     /// A fan.
-    fn fan(&mut self) -> Motion {
-        let Draws { angle, sign, height, .. } = *self;
+    fn fan(&mut self) -> SketchMotion {
+        let SceneDraws { angle, sign, height, .. } = *self;
         let centre = self.centre();
         let (blades, rate, radius) = (
-            self.between(2.0, 6.0).floor(),
-            sign * self.between(1.0, 9.0) * TAU,
-            height * self.between(0.35, 0.6),
+            self.uniform(2.0, 6.0).floor(),
+            sign * self.uniform(1.0, 9.0) * TAU,
+            height * self.uniform(0.35, 0.6),
         );
-        Motion::Fan {
+        SketchMotion::Fan {
             blades,
             rate,
             centre,
             radius,
-            half: self.between(0.2, 0.45) * TAU / blades / 2.0,
+            half: self.uniform(0.2, 0.45) * TAU / blades / 2.0,
             shade: if angle < 3.0 { 0.0 } else { 0.95 },
         }
     }
 
     /// A walking figure.
-    fn figure(&mut self) -> Motion {
-        let Draws { angle, sign, width, height, .. } = *self;
-        let tall = height * self.between(0.5, 0.9);
-        let begin = (width * self.between(0.2, 0.8), 0.5 * height + self.between(-3.0, 3.0));
-        Motion::Figure {
+    fn walking_figure(&mut self) -> SketchMotion {
+        let SceneDraws { angle, sign, width, height, .. } = *self;
+        let tall = height * self.uniform(0.5, 0.9);
+        let begin = (width * self.uniform(0.2, 0.8), 0.5 * height + self.uniform(-3.0, 3.0));
+        SketchMotion::Figure {
             height: tall,
-            speed: sign * self.between(60.0, 400.0),
-            steps_hz: self.between(1.5, 5.0),
+            speed: sign * self.uniform(60.0, 400.0),
+            steps_hz: self.uniform(1.5, 5.0),
             begin,
             shade: if angle < 4.0 { 0.0 } else { 0.95 },
         }
     }
 
     /// A thrown ball.
-    fn ball(&mut self, end_ns: i64) -> Motion {
-        let Draws { sign, width, height, .. } = *self;
-        let (radius, speed) = (height * self.between(0.12, 0.25), self.between(200.0, 900.0));
-        let begin = (0.5 * width - 0.3 * sign * width, height * self.between(0.35, 0.7));
-        Motion::Ball {
+    fn ball(&mut self, end_ns: i64) -> SketchMotion {
+        let SceneDraws { sign, width, height, .. } = *self;
+        let (radius, speed) = (height * self.uniform(0.12, 0.25), self.uniform(200.0, 900.0));
+        let begin = (0.5 * width - 0.3 * sign * width, height * self.uniform(0.35, 0.7));
+        SketchMotion::Ball {
             radius,
             begin,
-            velocity: (sign * speed, -self.between(0.0, 300.0)),
-            fall: self.between(500.0, 4000.0),
+            velocity: (sign * speed, -self.uniform(0.0, 300.0)),
+            fall: self.uniform(500.0, 4000.0),
             flight_ns: end_ns as f64,
-            rate: sign * self.between(0.0, 25.0),
+            rate: sign * self.uniform(0.0, 25.0),
         }
     }
 
     /// Discs that fly over a texture.
-    fn discs(&mut self) -> Motion {
-        let Draws { angle, sign, .. } = *self;
-        let (speed, drift) = (self.between(700.0, 2300.0), self.between(80.0, 180.0));
+    fn discs(&mut self) -> SketchMotion {
+        let SceneDraws { angle, sign, .. } = *self;
+        let (speed, drift) = (self.uniform(700.0, 2300.0), self.uniform(80.0, 180.0));
         let shade = if sign > 0.0 { 1.1 } else { -0.05 };
-        Motion::Discs {
-            radius: self.between(2.5, 5.5),
+        SketchMotion::Discs {
+            radius: self.uniform(2.5, 5.5),
             shade,
-            velocity: Draws::along(speed, angle),
-            pitch: self.between(60.0, 110.0),
+            velocity: SceneDraws::vector_of_length(speed, angle),
+            pitch: self.uniform(60.0, 110.0),
             drift: (drift * libm::sin(angle), drift * libm::cos(angle)),
         }
     }
 
-    /// A description of a sensor and the length of its exposures, ns; `which`: of what kind it is, 0 to 1.
+    /// A random sensor description and the length of its exposures, ns. `which`, 0 to 1, selects its kind.
     fn sensor(&mut self, which: f64) -> (Sensor, i64) {
         let us = |us: f64| Some(Duration::new((us * 1e3).round() as i64));
         let mut sensor = Sensor::unknown("made up");
-        let threshold = self.between(0.15, 0.25);
+        let threshold = self.uniform(0.15, 0.25);
         sensor.comparator.threshold_on = Some(threshold);
-        sensor.comparator.threshold_off = Some(threshold * self.between(0.92, 1.09));
+        sensor.comparator.threshold_off = Some(threshold * self.uniform(0.92, 1.09));
         sensor.comparator.reset = if which < 0.4 { Reset::Resample } else { Reset::Advance };
-        sensor.readout.refractory = us(if which < 0.4 { self.between(30.0, 90.0).round() } else { 0.0 });
+        sensor.readout.refractory = us(if which < 0.4 { self.uniform(30.0, 90.0).round() } else { 0.0 });
         sensor.readout.latency_min = us(1.0);
-        let tau_0 = self.between(8.0, 48.0);
+        let tau_0 = self.uniform(8.0, 48.0);
         sensor.front_end.tau_0 = us(if which < 0.2 { 0.0 } else { tau_0 });
-        sensor.front_end.alpha = us(self.between(7_500.0, 31_000.0));
-        let exposure_ns = (self.between(3.0e6, 4.5e6)).round() as i64;
+        sensor.front_end.alpha = us(self.uniform(7_500.0, 31_000.0));
+        let exposure_ns = (self.uniform(3.0e6, 4.5e6)).round() as i64;
         sensor.frames.gain =
-            Some(self.between(600.0, 1200.0) * if self.between(0.0, 1.0) < 0.5 { 0.8 } else { 1.0 });
-        sensor.frames.row_time = us(self.between(25.0, 45.0));
+            Some(self.uniform(600.0, 1200.0) * if self.uniform(0.0, 1.0) < 0.5 { 0.8 } else { 1.0 });
+        sensor.frames.row_time = us(self.uniform(25.0, 45.0));
         sensor.frames.saturation_dn = Some(1023.0);
         (sensor, exposure_ns)
     }
@@ -217,39 +217,39 @@ impl Draws {
 /// The sharpest edges, pixels on either side.
 const SHARPEST: f64 = 0.35;
 
-impl MadeUp {
+impl SimulatedScene {
     /// Scene number `index` of a seed, on an array of an extent, for some seconds: a texture, a star or
     /// discs.
-    pub fn new(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
-        MadeUp::of(seed, index, extent, duration_s, [0.5, 0.85, 0.85, 0.85, 0.85, 0.85, 0.85])
+    pub fn new(seed: u64, index: u64, extent: Extent, duration_s: f64) -> SimulatedScene {
+        SimulatedScene::draw_scene(seed, index, extent, duration_s, [0.5, 0.85, 0.85, 0.85, 0.85, 0.85, 0.85])
     }
 
-    /// The same of what does not move as one: layers, a fan, a figure, a ball.
-    pub fn in_parts(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
-        MadeUp::of(seed, index, extent, duration_s, [0.0, 0.0, 0.0, 0.3, 0.6, 0.8, 1.0])
+    /// A scene that does not move as one: layers, a fan, a figure, a ball.
+    pub fn in_parts(seed: u64, index: u64, extent: Extent, duration_s: f64) -> SimulatedScene {
+        SimulatedScene::draw_scene(seed, index, extent, duration_s, [0.0, 0.0, 0.0, 0.3, 0.6, 0.8, 1.0])
     }
 
-    /// The same of any kind.
-    pub fn of_any(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
-        MadeUp::of(seed, index, extent, duration_s, [0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 1.0])
+    /// A scene of any kind.
+    pub fn of_any_kind(seed: u64, index: u64, extent: Extent, duration_s: f64) -> SimulatedScene {
+        SimulatedScene::draw_scene(seed, index, extent, duration_s, [0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 1.0])
     }
 
     #[cfg(test)]
     /// The same of a photograph that shakes, zooms and turns.
-    pub fn photograph(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
-        MadeUp::of(seed, index, extent, duration_s, [0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    pub fn photograph(seed: u64, index: u64, extent: Extent, duration_s: f64) -> SimulatedScene {
+        SimulatedScene::draw_scene(seed, index, extent, duration_s, [0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     }
 
-    /// `ends`: up to which draw from 0 to 1 a scene is a texture, a star, a photograph, layers, a fan, a
-    /// figure, a ball; discs from there on.
-    fn of(seed: u64, index: u64, extent: Extent, duration_s: f64, ends: [f64; 7]) -> MadeUp {
-        let mut draws = Draws::new(seed, index, extent);
+    /// `ends`: upper limits of a uniform draw, 0 to 1, for a texture, a star, a photograph, layers, a fan, a
+    /// figure, a ball; above them discs.
+    fn draw_scene(seed: u64, index: u64, extent: Extent, duration_s: f64, ends: [f64; 7]) -> SimulatedScene {
+        let mut draws = SceneDraws::new(seed, index, extent);
         let span = (0, (duration_s * 1e9) as i64);
         let motion = draws.motion(ends, span.1);
-        let (low, high) = (draws.between(26.0, 38.0), draws.between(150.0, 205.0));
-        let which = draws.between(0.0, 1.0);
+        let (low, high) = (draws.uniform(26.0, 38.0), draws.uniform(150.0, 205.0));
+        let which = draws.uniform(0.0, 1.0);
         let (sensor, exposure_ns) = draws.sensor(which);
-        let first_ns = draws.between(1e5, 6e5).round() as i64;
+        let first_ns = draws.uniform(1e5, 6e5).round() as i64;
         let period_ns = 8_333_333;
         let rows_ns = sensor.frames.row_time.map_or(0, Duration::ns) * i64::from(extent.height);
         let exposures = (0..)
@@ -263,12 +263,12 @@ impl MadeUp {
         } else {
             20_000
         };
-        let contrast = draws.between(0.8, 1.6);
+        let contrast = draws.uniform(0.8, 1.6);
         // Pixels are not points and lenses are not perfect: no edge is sharper than about a third of a pixel
         // on either side.
-        let edge = f64::max(draws.between(0.1, 0.9), SHARPEST);
+        let edge = f64::max(draws.uniform(0.1, 0.9), SHARPEST);
         let seed = seed.wrapping_mul(1009).wrapping_add(index);
-        MadeUp {
+        SimulatedScene {
             sketch: Sketch { motion, seed, contrast, edge, low, high },
             sensor,
             exposures,
@@ -283,17 +283,17 @@ impl MadeUp {
 
     /// Target number `index` of a seed: a star or discs before a plain wall, thresholds with noise, frames
     /// with stated noise or none.
-    pub fn target(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
+    pub fn target(seed: u64, index: u64, extent: Extent, duration_s: f64) -> SimulatedScene {
         let mut random = Random::new(seed, &[index, 78]);
         let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
-        let mut made = MadeUp::new(seed, index, extent, duration_s);
-        if let Motion::Texture { velocity, .. } = made.sketch.motion {
+        let mut made = SimulatedScene::new(seed, index, extent, duration_s);
+        if let SketchMotion::Texture { velocity, .. } = made.sketch.motion {
             let rate = between(3.0, 12.0) * TAU * if velocity.0 > 0.0 { 1.0 } else { -1.0 };
             let centre = (
                 0.5 * f64::from(extent.width) + between(-2.0, 2.0),
                 0.5 * f64::from(extent.height) + between(-2.0, 2.0),
             );
-            made.sketch.motion = Motion::Star { spokes: between(2.0, 6.0).floor(), rate, centre };
+            made.sketch.motion = SketchMotion::Star { spokes: between(2.0, 6.0).floor(), rate, centre };
         }
         // No ground behind discs: a wall.
         made.sketch.contrast = 0.0;
@@ -313,7 +313,7 @@ impl MadeUp {
 
     /// With noise of thresholds that the description states, a share of the ON threshold.
     #[cfg(test)]
-    pub fn with_threshold_noise(mut self, share: f64) -> MadeUp {
+    pub fn with_threshold_noise(mut self, share: f64) -> SimulatedScene {
         let comparator = &mut self.sensor.comparator;
         comparator.threshold_noise = comparator.threshold_on.map(|on| share * on);
         self
@@ -321,15 +321,15 @@ impl MadeUp {
 
     /// With edges of a width, pixels on either side.
     #[cfg(test)]
-    pub fn with_edge(self, edge: f64) -> MadeUp {
-        MadeUp { sketch: Sketch { edge, ..self.sketch }, ..self }
+    pub fn with_edge(self, edge: f64) -> SimulatedScene {
+        SimulatedScene { sketch: Sketch { edge, ..self.sketch }, ..self }
     }
 
-    /// With frames of whole digital numbers that have shot noise of so many electrons a digital number, and
-    /// read noise, DN; none of it is stated.
+    /// With frames rounded to whole DN and unstated noise: shot noise of this many electrons per DN, and read
+    /// noise, DN.
     #[must_use]
-    pub fn with_frame_noise(self, noise: Option<(f64, f64)>) -> MadeUp {
-        MadeUp { noise, ..self }
+    pub fn with_frame_noise(self, noise: Option<(f64, f64)>) -> SimulatedScene {
+        SimulatedScene { noise, ..self }
     }
 
     /// Log photocurrent of every pixel at instants.
@@ -383,16 +383,16 @@ impl MadeUp {
         };
         let pixels = self.log_tracks().into_iter().map(|(t, log)| (t, log, true));
         let nominal = blank.nominal().map_err(|why| why.to_string())?;
-        let stated = Trial::stated(&nominal);
+        let stated = Trial::nominal(&nominal);
         let mut trial = trial.unwrap_or(&stated).clone();
         trial.nominal.threshold_noise = f64::max(trial.nominal.threshold_noise, self.unstated_noise);
         let mut recorded = record(
             &blank,
             &trial.nominal,
-            &Sample::all(&blank, 6),
-            &Curves::from_pixels(pixels),
+            &PixelSample::every_pixel(&blank, 6),
+            &LogLightCurves::from_pixels(pixels),
             &trial.effects,
-            &Conditions { seed: self.sketch.seed, ..Conditions::default() },
+            &SimulatedConditions { seed: self.sketch.seed, ..SimulatedConditions::default() },
         )?;
         if let (Some((electrons, read_dn)), Some(frames)) = (self.noise, &mut recorded.frames) {
             let mut random = Random::new(self.sketch.seed, &[0x7e]);
@@ -414,7 +414,7 @@ mod tests {
     #[test]
     fn the_same_number_gives_the_same_recording_and_another_number_another() {
         let extent = Extent { width: 18, height: 12 };
-        let of = |index: u64| MadeUp::new(5, index, extent, 0.05).recording().unwrap();
+        let of = |index: u64| SimulatedScene::new(5, index, extent, 0.05).recording().unwrap();
         let (a, b, c) = (of(1), of(1), of(2));
         assert_eq!(a.events, b.events);
         assert_ne!(a.events, c.events);

@@ -1,30 +1,29 @@
-//! What passes between stages as documents: findings of the direct tests, evidence and proposals; how they
-//! are written and read again.
+//! Documents between the stages: findings of the direct tests, evidence and proposals; writing and reading.
 //!
-//! Both are written as they are. Reading needs two things that text does not hold: the catalogue's own names
-//! for ids and parameters, and that an index into [`CANDIDATES`] still means what it meant: `Proposals`
-//! carries the list's labels, and refuses to be read with another list.
+//! All are written as they are. Reading needs two things that the text does not contain: the catalogue's
+//! names of ids and parameters, and the list of candidates to which an index into [`CANDIDATES`] refers. The
+//! documents carry the list's labels and are refused where the list differs.
 
 use crate::candidates::CANDIDATES;
 use crate::dependence::Dependence;
-use crate::integrity::{Departure, Heldout, Integrity};
-use crate::report::{Detectable, Estimate};
-use crate::residual::evidence::Evidence;
-use crate::residual::located::{Located, Locations};
+use crate::integrity::{Departure, HalvesGain, Integrity};
+use crate::report::{MinimumDetectable, SceneEstimate};
+use crate::residual::evidence::SceneEvidence;
+use crate::residual::located::{EffectLocations, LocatedEffect};
 use photocurrent_core::{DataError, Diagnosis, DiagnosisKind};
 use photocurrent_scene::block::Block;
 use photocurrent_sensor::effects::catalogue;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// What is thought of one candidate.
+/// Posterior and gain of one candidate.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Proposal {
+pub struct EffectProposal {
     /// Index into [`CANDIDATES`].
     pub candidate: usize,
     /// Probability that something differs, over the least at which it is reported.
     pub score: f64,
-    /// Its probability given that there is something, 0 to 1.
+    /// Its posterior probability conditional on a difference, 0 to 1.
     pub probability: f64,
     /// The parameter, in the unit of its declaration.
     pub value: f64,
@@ -38,28 +37,28 @@ pub struct Proposal {
     pub heldout_nats_ci95: Option<[f64; 2]>,
     /// The same per event.
     pub heldout_nats_per_event: Option<f64>,
-    /// Distance of what it leaves from the noise that the described sensor has on this scene (Kolmogorov and
-    /// Smirnov).
+    /// Distance of the residuals with it from the noise that the described sensor has on this scene
+    /// (Kolmogorov and Smirnov).
     pub ks: Option<f64>,
 }
 
-impl Proposal {
+impl EffectProposal {
     /// Catalogue id of its effect.
     pub fn id(&self) -> &'static str {
         CANDIDATES[self.candidate].id
     }
 }
 
-/// Something that no effect of the catalogue explains.
+/// A dependence that no effect of the catalogue explains.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Unexplained {
-    /// What it depends on, by the names of docs/formats.md.
+    /// Covariate, by the names of docs/formats.md.
     pub covariate: String,
-    /// How, as an equation or in words.
+    /// The dependence, as an equation or in words.
     pub equation: String,
     /// Where in the chain.
     pub insertion: String,
-    /// How far over what counts.
+    /// Statistic over its detection threshold.
     pub score: f64,
     /// Held-out gain in log-likelihood, nats an event.
     pub nats: f64,
@@ -71,8 +70,8 @@ pub struct Unexplained {
 }
 
 impl Unexplained {
-    /// By a curve, `score` over the least that counts.
-    pub fn by(dependence: &Dependence, score: f64) -> Unexplained {
+    /// From a curve; `score`: statistic over its detection threshold.
+    pub fn from_dependence(dependence: &Dependence, score: f64) -> Unexplained {
         Unexplained {
             covariate: dependence.covariate.name().to_owned(),
             equation: dependence.equation(),
@@ -84,16 +83,16 @@ impl Unexplained {
         }
     }
 
-    /// Where it is; none where it is not the curve that was located.
-    pub fn located<'a>(&self, decided: Option<&'a Decided>) -> Option<&'a Located> {
+    /// Its location; `None` where another curve was located.
+    pub fn located<'a>(&self, decided: Option<&'a SceneDecision>) -> Option<&'a LocatedEffect> {
         let is_it = |own: &Unexplained| own.dependence.is_some() && own.dependence == self.dependence;
         decided.filter(|decided| decided.unexplained.as_ref().is_some_and(is_it))?.located.unnamed.as_ref()
     }
 }
 
-/// What is decided on one scene.
+/// The decision on one scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Decided {
+pub struct SceneDecision {
     /// The scene: `picture`, `given`, ...
     pub name: String,
     /// Share of the events that lie where the scene predicts frames: the others are not evaluated.
@@ -105,63 +104,63 @@ pub struct Decided {
     /// The part of the array that was evaluated; none where it is all of it.
     #[serde(default)]
     pub part: Option<Block>,
-    /// What another scene leaves or shows, where this one was preferred to it; empty where none was compared.
+    /// Misfit or findings of another scene, where this one was preferred; empty where none was compared.
     #[serde(default)]
     pub other_scene: String,
     /// Does the recording differ from the description at all?
     pub detected: bool,
     /// For one more effect, best first; none of them passed where `unexplained` is claimed.
-    pub proposals: Vec<Proposal>,
+    pub proposals: Vec<EffectProposal>,
     /// Is a curve that no effect has nearly as probable as the best of them?
     #[serde(default)]
     pub is_unnamed_near: bool,
     /// For a second one in addition to the first of `proposals`, best first.
-    pub second: Vec<Proposal>,
-    /// What explains more than any candidate does, and is none.
+    pub second: Vec<EffectProposal>,
+    /// The dependence that explains more than any candidate.
     pub unexplained: Option<Unexplained>,
-    /// What could have been seen.
-    pub detectability: Vec<Detectable>,
+    /// Minimum detectable effects.
+    pub detectability: Vec<MinimumDetectable>,
     /// Held-out log-likelihood of an event's time with the description, nats (of a density per second).
     pub nats_per_event: Option<f64>,
-    /// Distance of what the description leaves from the noise that it has on this scene.
+    /// Distance of the description's residuals from its noise on this scene.
     pub ks: Option<f64>,
     /// Share of the misfit that the first proposal leaves.
     pub residual_left: Option<f64>,
     /// Where its answers are; empty where that was not measured.
     #[serde(default)]
-    pub located: Locations,
-    /// What the description leaves open, estimated before.
+    pub located: EffectLocations,
+    /// Parameters that the description states as ranges, estimated before.
     #[serde(default)]
-    pub estimated: Vec<Estimate>,
+    pub estimated: Vec<SceneEstimate>,
 }
 
-/// What is decided on a scene.
+/// Outcome of the decision stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub enum Proposed {
-    /// No scene was to be compared.
+pub enum DecisionOutcome {
+    /// No scene was requested.
     #[default]
     NotAsked,
-    /// The scene is no evidence, and why.
+    /// The scene gives no evidence; the reason.
     Nothing(String),
-    /// This.
-    Decided(Box<Decided>),
+    /// The decision.
+    Decided(Box<SceneDecision>),
 }
 
-impl Proposed {
-    /// What is decided; none where nothing is.
-    pub fn decided(&self) -> Option<&Decided> {
+impl DecisionOutcome {
+    /// The decision; `None` without one.
+    pub fn decided(&self) -> Option<&SceneDecision> {
         match self {
-            Proposed::Decided(decided) => Some(decided),
+            DecisionOutcome::Decided(decided) => Some(decided),
             _ => None,
         }
     }
 }
 
-/// What is decided, and the list of candidates that it is chosen from.
+/// The document of an outcome, with the labels of its candidates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Proposals {
+struct ProposalsDocument {
     candidates: Vec<String>,
-    proposed: Proposed,
+    proposed: DecisionOutcome,
 }
 
 fn labels() -> Vec<String> {
@@ -184,44 +183,44 @@ pub fn read_integrity(document: &Diagnosis) -> Result<Integrity, DataError> {
     document.read()
 }
 
-/// What became of a scene.
+/// Outcome of the evidence stage.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Seen {
-    /// Nobody asked for one.
+pub enum EvidenceOutcome {
+    /// No scene was requested.
     NotAsked,
-    /// It is no evidence, and why.
+    /// The scene gives no evidence; the reason.
     Nothing(String),
-    /// What residuals on it say.
-    Evidence(Box<Evidence>),
+    /// Evidence of the residuals.
+    Evidence(Box<SceneEvidence>),
 }
 
-/// With the list of candidates that were asked.
+/// The document of an outcome, with the labels of its candidates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct SeenOf {
+struct EvidenceDocument {
     candidates: Vec<String>,
-    seen: Seen,
+    seen: EvidenceOutcome,
 }
 
 /// Evidence as a document.
 ///
 /// # Errors
 /// When a number is not finite.
-pub fn write_evidence(seen: &Seen) -> Result<Diagnosis, DataError> {
-    Diagnosis::of(DiagnosisKind::Evidence, &SeenOf { candidates: labels(), seen: seen.clone() })
+pub fn write_evidence(seen: &EvidenceOutcome) -> Result<Diagnosis, DataError> {
+    Diagnosis::of(DiagnosisKind::Evidence, &EvidenceDocument { candidates: labels(), seen: seen.clone() })
 }
 
 /// Evidence from its document.
 ///
 /// # Errors
 /// When the document is not one of [`write_evidence`], or was made with another list of candidates.
-pub fn read_evidence(document: &Diagnosis) -> Result<Seen, DataError> {
-    let read: SeenOf = document.read()?;
-    of_this_list(&read.candidates, "evidence", "diagnose/evidence")?;
+pub fn read_evidence(document: &Diagnosis) -> Result<EvidenceOutcome, DataError> {
+    let read: EvidenceDocument = document.read()?;
+    check_candidate_list(&read.candidates, "evidence", "diagnose/evidence")?;
     Ok(read.seen)
 }
 
-/// Indices into [`CANDIDATES`] mean what they meant only with the same list.
-fn of_this_list(candidates: &[String], what: &str, node: &str) -> Result<(), DataError> {
+/// Checks that a document's list of candidates is this program's, so that indices into [`CANDIDATES`] agree.
+fn check_candidate_list(candidates: &[String], what: &str, node: &str) -> Result<(), DataError> {
     if candidates == labels() {
         return Ok(());
     }
@@ -236,17 +235,20 @@ fn of_this_list(candidates: &[String], what: &str, node: &str) -> Result<(), Dat
 ///
 /// # Errors
 /// When a number is not finite.
-pub fn write_proposals(proposed: &Proposed) -> Result<Diagnosis, DataError> {
-    Diagnosis::of(DiagnosisKind::Proposals, &Proposals { candidates: labels(), proposed: proposed.clone() })
+pub fn write_proposals(proposed: &DecisionOutcome) -> Result<Diagnosis, DataError> {
+    Diagnosis::of(
+        DiagnosisKind::Proposals,
+        &ProposalsDocument { candidates: labels(), proposed: proposed.clone() },
+    )
 }
 
 /// Proposals from their document.
 ///
 /// # Errors
 /// When the document is not one of [`write_proposals`], or was made with another list of candidates.
-pub fn read_proposals(document: &Diagnosis) -> Result<Proposed, DataError> {
-    let read: Proposals = document.read()?;
-    of_this_list(&read.candidates, "proposals", "diagnose/decide")?;
+pub fn read_proposals(document: &Diagnosis) -> Result<DecisionOutcome, DataError> {
+    let read: ProposalsDocument = document.read()?;
+    check_candidate_list(&read.candidates, "proposals", "diagnose/decide")?;
     Ok(read.proposed)
 }
 
@@ -260,7 +262,7 @@ struct DepartureText {
     polarity: String,
     pixels: Vec<u32>,
     seen: String,
-    heldout: Option<Heldout>,
+    heldout: Option<HalvesGain>,
     #[serde(default)]
     ci95: Vec<(String, [f64; 2])>,
 }
@@ -304,7 +306,7 @@ mod tests {
     use super::*;
     use crate::diagnose::check;
     use crate::report::SceneProperty;
-    use crate::residual::evidence::Ranked;
+    use crate::residual::evidence::RankedEffect;
     use crate::testing;
 
     #[test]
@@ -340,8 +342,12 @@ mod tests {
 
     #[test]
     fn evidence_comes_back_and_so_does_why_there_is_none() {
-        let some = Evidence { share: 0.1 + 0.2, left: [1e-300, 2.0], ..Evidence::default() };
-        for seen in [Seen::Evidence(Box::new(some)), Seen::Nothing("no frames".into()), Seen::NotAsked] {
+        let some = SceneEvidence { share: 0.1 + 0.2, left: [1e-300, 2.0], ..SceneEvidence::default() };
+        for seen in [
+            EvidenceOutcome::Evidence(Box::new(some)),
+            EvidenceOutcome::Nothing("no frames".into()),
+            EvidenceOutcome::NotAsked,
+        ] {
             let document = write_evidence(&seen).unwrap();
             assert_eq!(read_evidence(&document).unwrap(), seen);
             let other = Diagnosis::from_text(
@@ -355,24 +361,24 @@ mod tests {
 
     #[test]
     fn evidence_that_was_stored_without_locations_is_read() {
-        let ranked = Ranked { candidate: 2, ..Ranked::default() };
-        let some = Evidence { ranked: vec![ranked], ..Evidence::default() };
-        let document = write_evidence(&Seen::Evidence(Box::new(some.clone()))).unwrap();
+        let ranked = RankedEffect { candidate: 2, ..RankedEffect::default() };
+        let some = SceneEvidence { ranked: vec![ranked], ..SceneEvidence::default() };
+        let document = write_evidence(&EvidenceOutcome::Evidence(Box::new(some.clone()))).unwrap();
         assert!(!document.text().contains("located"));
-        assert_eq!(read_evidence(&document).unwrap(), Seen::Evidence(Box::new(some)));
+        assert_eq!(read_evidence(&document).unwrap(), EvidenceOutcome::Evidence(Box::new(some)));
     }
 
     #[test]
     fn proposals_come_back_and_only_with_the_list_they_were_made_with() {
-        let proposal = Proposal {
+        let proposal = EffectProposal {
             candidate: 3,
             score: 1.0 / 3.0,
             ci95: Some([-1e-300, 2.0]),
             passed: true,
             heldout_nats: Some(0.1),
-            ..Proposal::default()
+            ..EffectProposal::default()
         };
-        let decided = Decided {
+        let decided = SceneDecision {
             share: 0.83,
             span_ns: Some((0, 40_000_000)),
             part: Some(Block { x: 3, y: 4, width: 20, height: 10 }),
@@ -383,7 +389,7 @@ mod tests {
             proposals: vec![proposal.clone()],
             second: vec![proposal],
             unexplained: Some(Unexplained { covariate: "row".into(), ..Unexplained::default() }),
-            detectability: vec![Detectable {
+            detectability: vec![MinimumDetectable {
                 id: "leak_events".into(),
                 parameter: "rate_hz".into(),
                 estimate: None,
@@ -395,16 +401,18 @@ mod tests {
             }],
             nats_per_event: Some(-2.0),
             ks: Some(0.1 + 0.2),
-            estimated: vec![Estimate { field: "front_end.alpha".into(), ..Estimate::default() }],
+            estimated: vec![SceneEstimate { field: "front_end.alpha".into(), ..SceneEstimate::default() }],
             residual_left: Some(0.25),
-            located: Locations {
-                first: vec![(3, Located { polarity: "on".into(), ..Located::default() })],
-                ..Locations::default()
+            located: EffectLocations {
+                first: vec![(3, LocatedEffect { polarity: "on".into(), ..LocatedEffect::default() })],
+                ..EffectLocations::default()
             },
         };
-        for proposed in
-            [Proposed::Decided(Box::new(decided)), Proposed::Nothing("no light".into()), Proposed::NotAsked]
-        {
+        for proposed in [
+            DecisionOutcome::Decided(Box::new(decided)),
+            DecisionOutcome::Nothing("no light".into()),
+            DecisionOutcome::NotAsked,
+        ] {
             let document = write_proposals(&proposed).unwrap();
             assert_eq!(read_proposals(&document).unwrap(), proposed);
             let other = Diagnosis::from_text(

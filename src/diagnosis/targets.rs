@@ -4,17 +4,17 @@
 //! The scene, the sensor and its frames are those of [`crate::scenes`]; thresholds and frames have noise,
 //! which most descriptions state and some do not.
 
-use crate::scenes::MadeUp;
+use crate::scenes::SimulatedScene;
 use photocurrent_core::random::Random;
 use photocurrent_scene::closed::ClosedScene;
 use photocurrent_scene::closed::sketch::Sketch;
-use photocurrent_scene::target::Form;
+use photocurrent_scene::target::TargetForm;
 
 /// Free parameters: speed (a factor), dark and bright light (factors), time since the start (s), shifts
 /// (pixels).
 const FREE: usize = 6;
 
-/// Where each stands without a change.
+/// Neutral value of each parameter.
 const NEUTRAL: [f64; FREE] = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
 
 /// A simulated scene with values of its free parameters.
@@ -34,15 +34,15 @@ impl ClosedScene for LitSketch {
     }
 }
 
-/// All of them within ranges that hold the true one.
-pub struct Sketches {
+/// A family of targets, with ranges of its parameters that contain the true ones.
+pub struct SketchFamily {
     sketch: Sketch,
     ranges: [(f64, f64); FREE],
 }
 
-impl Sketches {
+impl SketchFamily {
     /// Ranges around a scene, and where in them it is, as shares.
-    pub fn around(scene: &MadeUp, seed: u64, index: u64) -> (Sketches, Vec<f64>) {
+    pub fn ranges_around(scene: &SimulatedScene, seed: u64, index: u64) -> (SketchFamily, Vec<f64>) {
         let mut random = Random::new(seed, &[index, 0x7c]);
         // Half the time from one spoke to the next: more would be another star.
         let widths = [0.1, 0.4, 0.6, 0.5 * scene.sketch.period_s(), 3.0, 3.0];
@@ -51,11 +51,11 @@ impl Sketches {
             let from = NEUTRAL[k] - widths[k] * shares[k];
             (from, from + widths[k])
         });
-        (Sketches { sketch: scene.sketch.clone(), ranges }, shares)
+        (SketchFamily { sketch: scene.sketch.clone(), ranges }, shares)
     }
 }
 
-impl Form for Sketches {
+impl TargetForm for SketchFamily {
     fn count(&self) -> usize {
         FREE
     }
@@ -76,8 +76,8 @@ mod tests {
     #[test]
     fn the_true_shares_give_the_scene_itself() {
         for index in 0..6 {
-            let scene = MadeUp::target(4, index, Extent { width: 24, height: 18 }, 0.05);
-            let (sketches, shares) = Sketches::around(&scene, 4, index);
+            let scene = SimulatedScene::target(4, index, Extent { width: 24, height: 18 }, 0.05);
+            let (sketches, shares) = SketchFamily::ranges_around(&scene, 4, index);
             let shown = sketches.at(&shares).unwrap();
             for (x, y, t_ns) in [(3.0, 4.0, 0), (12.0, 9.0, 7_000_000), (20.0, 2.0, 31_000_000)] {
                 let truth = libm::exp(scene.sketch.log_light(x, y, t_ns as f64 * 1e-9));

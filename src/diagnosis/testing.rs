@@ -1,8 +1,8 @@
 //! A small recording for tests: a sine of light that moves across an array, as the stated sensor records it.
 
-use crate::curves::Curves;
-use crate::record::{Conditions, Described, record};
-use crate::sample::Sample;
+use crate::curves::LogLightCurves;
+use crate::record::{EffectParameters, SimulatedConditions, record};
+use crate::sample::PixelSample;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Exposure, Extent, FrameTimes, Sensor};
 use photocurrent_scene::case::{Case, CaseFrames, PixelEvents};
@@ -22,10 +22,10 @@ pub fn sensor() -> Sensor {
 }
 
 /// The scene of [`case`]: log light of every pixel at knots a quarter of a millisecond apart.
-pub fn scene(case: &Case) -> Curves {
+pub fn scene(case: &Case) -> LogLightCurves {
     let instants: Vec<i64> = (0..=i64::midpoint(0, case.span.1 / 125_000)).map(|k| k * 250_000).collect();
-    Curves::from_pixels((0..case.extent.pixels()).map(|pixel| {
-        let (x, y) = case.place(pixel);
+    LogLightCurves::from_pixels((0..case.extent.pixels()).map(|pixel| {
+        let (x, y) = case.pixel_place(pixel);
         let log_light = |t: &i64| {
             let at = 0.5 * f64::from(x) + 0.2 * f64::from(y) - *t as f64 * 4e-7;
             4.0 + 0.6 * libm::sin(at) + 0.2 * libm::sin(2.3 * at + 1.0)
@@ -36,16 +36,16 @@ pub fn scene(case: &Case) -> Curves {
 
 /// A recording of 12 x 10 pixels, 60 ms and 7 frames without any effect.
 pub fn case() -> Case {
-    case_with(&Described::new())
+    case_with(&EffectParameters::new())
 }
 
 /// The same with effects that the description does not state.
-pub fn case_with(effects: &Described) -> Case {
+pub fn case_with(effects: &EffectParameters) -> Case {
     case_of(7, effects)
 }
 
 /// The same with so many frames, 8 ms apart, and 4 ms after the end of the last period.
-pub fn case_of(frames: usize, effects: &Described) -> Case {
+pub fn case_of(frames: usize, effects: &EffectParameters) -> Case {
     let extent = Extent { width: 12, height: 10 };
     let exposures: Vec<Exposure> =
         (0..frames as i64).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 4_000_000)).collect();
@@ -61,7 +61,14 @@ pub fn case_of(frames: usize, effects: &Described) -> Case {
         )),
         sensor: sensor(),
     };
-    let sample = Sample::all(&blank, 4);
-    record(&blank, &blank.nominal().unwrap(), &sample, &scene(&blank), effects, &Conditions::default())
-        .unwrap()
+    let sample = PixelSample::every_pixel(&blank, 4);
+    record(
+        &blank,
+        &blank.nominal().unwrap(),
+        &sample,
+        &scene(&blank),
+        effects,
+        &SimulatedConditions::default(),
+    )
+    .unwrap()
 }

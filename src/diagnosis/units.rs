@@ -1,6 +1,6 @@
 //! Numbers with units as people write them: `954 us`, `3.2 %`, not `0.000954 s`.
 
-use crate::report::short;
+use crate::report::four_digits;
 
 /// A value of a report with its unit: times in s, ms, us or ns, rates in Hz or kHz, shares in percent; others
 /// as they are. Four digits that count.
@@ -26,7 +26,7 @@ pub fn readable(value: f64, unit: &str) -> String {
         // A hair of rounding must not turn 1 ms into 1000 us.
         *steps.iter().find(|step| value.abs() >= step.0 * (1.0 - 1e-9)).unwrap_or(&steps[steps.len() - 1])
     };
-    format!("{} {name}", short(value / scale)).trim_end().to_owned()
+    format!("{} {name}", four_digits(value / scale)).trim_end().to_owned()
 }
 
 /// The name of a parameter without the unit that its key ends with.

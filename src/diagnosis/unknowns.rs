@@ -1,8 +1,8 @@
-//! Numbers that a description states as a range ([`photocurrent_core::sensor::Range`]): they are
-//! estimated with the scene, and what is diagnosed then is the description with the estimates in it.
+//! Parameters that a description states as a range ([`photocurrent_core::sensor::Range`]). They are estimated
+//! with the scene, and the description with the estimates is diagnosed.
 
 use crate::candidates::{CANDIDATES, Candidate};
-use crate::report::{Estimate, six_digits};
+use crate::report::{SceneEstimate, six_digits};
 use photocurrent_core::Sensor;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::sensor::Range;
@@ -11,19 +11,23 @@ use photocurrent_sensor::effects::sought::Field;
 
 /// A number that is stated as a range.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Unknown {
+pub struct UnknownParameter {
     /// Its TOML path.
     pub field: String,
     /// The range.
     pub range: Range,
 }
 
-/// What a description states as a range.
-pub fn unknowns(sensor: &Sensor) -> Vec<Unknown> {
-    sensor.ranges.iter().map(|(field, range)| Unknown { field: field.clone(), range: *range }).collect()
+/// All parameters that a description states as a range.
+pub fn unknowns(sensor: &Sensor) -> Vec<UnknownParameter> {
+    sensor
+        .ranges
+        .iter()
+        .map(|(field, range)| UnknownParameter { field: field.clone(), range: *range })
+        .collect()
 }
 
-/// Is an effect nothing but another value of a number that the description leaves open?
+/// Is an effect just another value of a parameter that the description states as a range?
 pub fn is_left_open(sensor: &Sensor, id: &str) -> bool {
     let paths = |candidate: &Candidate| -> &[&str] {
         match candidate.sought.field {
@@ -39,16 +43,16 @@ pub fn is_left_open(sensor: &Sensor, id: &str) -> bool {
     open.any(|path| sensor.ranges.contains_key(*path))
 }
 
-impl Unknown {
+impl UnknownParameter {
     /// Both ends as they are estimated.
     pub fn bounds(&self) -> [f64; 2] {
         self.range.ends().map(|end| if self.range.is_log() { libm::log(end) } else { end })
     }
 
-    /// The sensor with a value in it, as it is estimated.
+    /// The sensor with this parameter at an estimated value.
     #[must_use]
-    pub fn put(&self, nominal: &Nominal, estimated: f64) -> Nominal {
-        put(nominal, &self.field, self.value(estimated))
+    pub fn with_estimate(&self, nominal: &Nominal, estimated: f64) -> Nominal {
+        with_field(nominal, &self.field, self.value(estimated))
     }
 
     /// In seconds or in the unit of the field.
@@ -57,10 +61,10 @@ impl Unknown {
     }
 
     /// With its standard error, as it is estimated.
-    pub fn estimated(&self, at: f64, error: f64) -> Estimate {
+    pub fn estimated(&self, at: f64, error: f64) -> SceneEstimate {
         let [low, high] = self.bounds();
         let value = |at: f64| six_digits(self.value(at.clamp(low, high)));
-        Estimate {
+        SceneEstimate {
             field: self.field.clone(),
             estimate: value(at),
             ci95: [-1.96, 1.96].map(|sigmas| value(at + sigmas * error)),
@@ -71,7 +75,7 @@ impl Unknown {
 }
 
 /// A sensor with a value in a field, in seconds or in the unit of the field.
-fn put(nominal: &Nominal, field: &str, value: f64) -> Nominal {
+fn with_field(nominal: &Nominal, field: &str, value: f64) -> Nominal {
     let mut with = nominal.clone();
     match field {
         "front_end.tau_0" => with.pixel.front_end.tau_0_s = value,
@@ -85,17 +89,17 @@ fn put(nominal: &Nominal, field: &str, value: f64) -> Nominal {
     with
 }
 
-/// A sensor with estimates in the places of what its description leaves open.
+/// A sensor with the estimates of its open parameters.
 #[must_use]
-pub fn of_estimates(nominal: &Nominal, estimates: &[Estimate]) -> Nominal {
-    estimates.iter().fold(nominal.clone(), |with, one| put(&with, &one.field, one.estimate))
+pub fn nominal_with_estimates(nominal: &Nominal, estimates: &[SceneEstimate]) -> Nominal {
+    estimates.iter().fold(nominal.clone(), |with, one| with_field(&with, &one.field, one.estimate))
 }
 
 /// A description with estimates in the places of ranges.
 #[must_use]
-pub fn with_estimates(sensor: &Sensor, estimated: &[Estimate]) -> Sensor {
+pub fn with_estimates(sensor: &Sensor, estimated: &[SceneEstimate]) -> Sensor {
     let mut sensor = sensor.clone();
-    for Estimate { field, estimate, .. } in estimated {
+    for SceneEstimate { field, estimate, .. } in estimated {
         let time = || Some(Duration::new((estimate * 1e9).round() as i64));
         match field.as_str() {
             "front_end.tau_0" => sensor.front_end.tau_0 = time(),
@@ -135,7 +139,7 @@ mod tests {
         for unknown in unknowns(&sensor) {
             let [low, high] = unknown.bounds();
             let at = low + 0.3 * (high - low);
-            nominal = unknown.put(&nominal, at);
+            nominal = unknown.with_estimate(&nominal, at);
             all.push(unknown.estimated(at, 0.01 * (high - low)));
         }
         let with = with_estimates(&sensor, &all);

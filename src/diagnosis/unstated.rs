@@ -1,10 +1,10 @@
-//! What a description does not state, what a diagnosis leaves out for it, and how a user gets it.
+//! Quantities that a description lacks, the tests that need them, and how a user gets them.
 //!
-//! Only thresholds and the frames' gain are needed by every test ([`photocurrent_scene::nominal`]). A
-//! refractory period or a latency that is absent counts as 0. Without the front end ([`front_end`]) direct
-//! tests take the ideal one, and nothing is compared on a scene: the residual of an event is the front end's
-//! voltage there less reference and threshold, so that a lag, a bandwidth or its dependence on light would be
-//! given the name of another effect. What is left out stands in the report, with the reason.
+//! Every test needs thresholds and the frames' gain alone ([`photocurrent_scene::nominal`]). An absent
+//! refractory period or latency counts as 0. Without the front end ([`front_end`]) direct tests assume the
+//! ideal one, and no scene is compared. The residual of an event is the front end's voltage less reference
+//! and threshold, so a lag, a bandwidth or its dependence on light would be attributed to another effect. The
+//! report lists the omitted tests with the reason.
 
 use crate::integrity::Departure;
 use crate::report::NotTestable;
@@ -34,7 +34,7 @@ pub fn without_scene(sensor: &Sensor) -> Option<String> {
     })
 }
 
-/// What to state, what it adds, and where the values are from: sentences for a report.
+/// Advice on missing quantities: what to state, the tests that it adds, and sources of the values. Sentences.
 pub fn advice(sensor: &Sensor) -> Vec<String> {
     let fields = front_end(sensor);
     if fields.is_empty() {
@@ -52,7 +52,7 @@ const HOW: &str = "values are in the maker's sheet (tau = 1 / (2 pi f) of a -3 d
                    bright light, alpha = (tau - tau_0) x photocurrent in dim light) or come from a \
                    recording of a known target (docs/calibrate-sensor.md)";
 
-/// What a constant lateness of events is.
+/// Note on a constant delay of events.
 pub const LATENESS: &str = "events that are late by one time have a clock that is off, or a front end and a \
                             readout that are slow; this recording does not separate the two";
 
@@ -60,9 +60,8 @@ fn not_stated(fields: &[&str]) -> String {
     format!("{} {} not stated", fields.join(" and "), if fields.len() == 1 { "is" } else { "are" })
 }
 
-/// The effects that are left out because the description lacks something, each with the reason, what would be
-/// added, and how to get it; `is_tested` names those that were tested all the same. Empty for a complete
-/// description.
+/// Effects that are not tested because the description lacks a quantity: reason, gained test and source of
+/// the value. `is_tested`: effects tested all the same. Empty for a complete description.
 pub fn not_testable(sensor: &Sensor, is_tested: impl Fn(&str) -> bool) -> Vec<NotTestable> {
     let fields = front_end(sensor);
     if fields.is_empty() {
@@ -86,9 +85,9 @@ pub fn not_testable(sensor: &Sensor, is_tested: impl Fn(&str) -> bool) -> Vec<No
     all
 }
 
-/// A reason of [`not_testable`] without where values are from, which [`advice`] says once for all; none of a
-/// reason that is not the description's.
-pub fn short(why: &str) -> Option<&str> {
+/// A reason of [`not_testable`] without the sources of values, which [`advice`] lists once; `None` for
+/// another reason.
+pub fn reason_without_source(why: &str) -> Option<&str> {
     why.contains(" not stated: ").then(|| why.strip_suffix(HOW).map_or(why, |why| why.trim_end_matches("; ")))
 }
 
@@ -106,13 +105,13 @@ fn offset(sensor: &Sensor, lacking: &str) -> Vec<NotTestable> {
     late.into_iter().collect()
 }
 
-/// Another id that explains a finding as well, because the description does not exclude it, and why, as the
-/// end of a sentence.
+/// Another effect with the same evidence as a finding, not excluded by the description: its id, and the
+/// reason as the end of a sentence.
 ///
-/// A low-pass of unknown bandwidth makes events late, and weakens changes that are fast, or dark: thresholds
-/// look larger, those of OFF events more, dark places have the fewer events, and fast ones lose light. It
-/// makes nothing early, and no threshold smaller.
-pub fn alike(sensor: &Sensor, finding: &Departure) -> Option<(&'static str, &'static str)> {
+/// A low-pass of unknown bandwidth delays events and weakens fast or dark changes. Thresholds look larger,
+/// those of OFF events more; dark places have fewer events, and fast ones lose light. It makes no event early
+/// and no threshold smaller.
+pub fn alternative_explanation(sensor: &Sensor, finding: &Departure) -> Option<(&'static str, &'static str)> {
     if front_end(sensor).is_empty() {
         return None;
     }
@@ -150,14 +149,17 @@ mod tests {
     }
 
     fn late(seconds: f64) -> Departure {
-        Departure::of_halves("clock_offset", ("offset", seconds), 100.0, 1000, String::new())
+        Departure::from_halves("clock_offset", ("offset", seconds), 100.0, 1000, String::new())
     }
 
     #[test]
     fn a_complete_description_leaves_nothing_out() {
         let sensor = testing::sensor();
         assert_eq!((front_end(&sensor).len(), without_scene(&sensor), advice(&sensor).len()), (0, None, 0));
-        assert!(not_testable(&sensor, |_| false).is_empty() && alike(&sensor, &late(3e-3)).is_none());
+        assert!(
+            not_testable(&sensor, |_| false).is_empty()
+                && alternative_explanation(&sensor, &late(3e-3)).is_none()
+        );
         assert!(CANDIDATES.iter().all(|candidate| candidate.is_stated(&sensor)));
     }
 
@@ -168,7 +170,7 @@ mod tests {
         for one in &found {
             assert!(one.why.contains("front_end.tau_0 and front_end.alpha are not stated"), "{}", one.why);
             assert!(
-                short(&one.why).is_some_and(|why| !why.contains("sheet"))
+                reason_without_source(&one.why).is_some_and(|why| !why.contains("sheet"))
                     && one.why.contains("would add")
                     && one.why.contains("maker's sheet")
                     && one.why.contains("docs/calibrate-sensor.md"),
@@ -202,8 +204,11 @@ mod tests {
     #[test]
     fn a_low_pass_makes_thresholds_larger_and_never_smaller() {
         let of = |id, parameter, value| {
-            alike(&proposed(), &Departure::of_halves(id, (parameter, value), 100.0, 1000, String::new()))
-                .map(|(id, _)| id)
+            alternative_explanation(
+                &proposed(),
+                &Departure::from_halves(id, (parameter, value), 100.0, 1000, String::new()),
+            )
+            .map(|(id, _)| id)
         };
         assert_eq!(
             of("threshold_scale", "fraction", 0.2).zip(of("dark_current", "current", 3.0)),
@@ -219,18 +224,18 @@ mod tests {
         );
         let of_intervals = Departure {
             heldout: None,
-            ..Departure::of_halves("refractory", ("refractory", 1e-3), 100.0, 1000, String::new())
+            ..Departure::from_halves("refractory", ("refractory", 1e-3), 100.0, 1000, String::new())
         };
         assert_eq!(
-            (of("refractory", "refractory", 1e-3), alike(&proposed(), &of_intervals)),
+            (of("refractory", "refractory", 1e-3), alternative_explanation(&proposed(), &of_intervals)),
             (Some("time_constant"), None)
         );
     }
 
     #[test]
     fn lateness_is_a_clock_or_a_front_end_and_earliness_is_a_clock() {
-        assert_eq!(alike(&proposed(), &late(3e-3)), Some(("time_constant", LATENESS)));
-        assert_eq!(alike(&proposed(), &late(-3e-3)), None);
+        assert_eq!(alternative_explanation(&proposed(), &late(3e-3)), Some(("time_constant", LATENESS)));
+        assert_eq!(alternative_explanation(&proposed(), &late(-3e-3)), None);
         let mut sensor = proposed();
         sensor
             .effects
@@ -238,7 +243,7 @@ mod tests {
         let stated = not_testable(&sensor, |_| true);
         assert_eq!(stated.len(), 1);
         assert!(
-            short(&stated[0].why).is_some()
+            reason_without_source(&stated[0].why).is_some()
                 && stated[0].id == "clock_offset"
                 && stated[0].why.contains("3.3 ms")
                 && stated[0].why.contains("does not separate"),

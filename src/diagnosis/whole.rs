@@ -1,18 +1,18 @@
-//! A whole diagnosis in one call ([`diagnose`]), and its stages between direct tests and confirmation one by
-//! one: the evidence on a scene that frames state ([`on_frames`]), and what it comes to ([`proposed`]).
+//! A whole diagnosis in one call ([`diagnose`]), and the stages between direct tests and confirmation:
+//! evidence on a scene of the frames ([`on_frames`]), and the decision on it ([`decide_outcome`]).
 
 use crate::candidates::CANDIDATES;
-use crate::decide::{Decision, decide};
-use crate::diagnose::{Diagnosis, Setting, amend, can_compare, check, confirm};
+use crate::decide::{DecisionThresholds, decide};
+use crate::diagnose::{ConfirmSetting, Diagnosis, amend_case, can_compare, check, confirm};
 use crate::integrity::Integrity;
 use crate::integrity::data::{FEWEST_FRAMES, is_enough};
-use crate::limits::either;
-use crate::report::Estimate;
-use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked};
+use crate::limits::smaller_limits;
+use crate::report::SceneEstimate;
+use crate::residual::evidence::{EvidenceSetting, RankedEffect, SceneEvidence};
 use crate::residual::free;
 use crate::residual::ranking::evidence;
-use crate::stages::{Decided, Proposed, Seen};
-use crate::unknowns::{Unknown, of_estimates, unknowns, with_estimates};
+use crate::stages::{DecisionOutcome, EvidenceOutcome, SceneDecision};
+use crate::unknowns::{UnknownParameter, nominal_with_estimates, unknowns, with_estimates};
 use crate::unstated::without_scene;
 use photocurrent_core::NodeError;
 use photocurrent_scene::Scene;
@@ -24,10 +24,10 @@ use photocurrent_scene::picture::PictureSetting;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Where the scene is from.
+/// Source of the scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum Estimated {
+pub enum SceneSource {
     /// A moving picture, fitted to frames alone, and pictures of parts of the array for a few frames each
     /// where it does not predict them; where one picture leaves too much, it is estimated from frames and
     /// events together, and where these leave too much, the light of each pixel.
@@ -39,16 +39,16 @@ pub enum Estimated {
     Joint,
     /// The light of each pixel, free in time: of frames and events together.
     Pixels,
-    /// Nowhere: events are compared with no scene.
+    /// No scene: events are not compared.
     None,
 }
 
-/// How the scene is estimated, and events are compared with it.
+/// Settings of the scene's estimate and of the comparison with events.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
-pub struct OnScene {
+pub struct SceneSetting {
     /// Where the scene is from when no light is connected.
-    pub scene: Estimated,
+    pub scene: SceneSource,
     /// How a picture is fitted.
     #[serde(flatten)]
     pub picture: PictureSetting,
@@ -58,15 +58,15 @@ pub struct OnScene {
     /// How events are compared with the scene.
     #[serde(flatten)]
     pub evidence: EvidenceSetting,
-    /// Light that flickers by a larger share is no evidence: a picture does not flicker.
+    /// Largest relative flicker of light, 0 to 1, for which a scene is evidence: a picture does not flicker.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub most_flicker: f64,
 }
 
-impl Default for OnScene {
-    fn default() -> OnScene {
-        OnScene {
-            scene: Estimated::default(),
+impl Default for SceneSetting {
+    fn default() -> SceneSetting {
+        SceneSetting {
+            scene: SceneSource::default(),
             picture: PictureSetting::default(),
             parts: PatchSetting::default(),
             evidence: EvidenceSetting::default(),
@@ -75,41 +75,41 @@ impl Default for OnScene {
     }
 }
 
-/// How a recording is diagnosed.
+/// Options of a diagnosis.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Options {
-    /// The scene, and what events miss on it.
-    pub on_scene: OnScene,
+pub struct DiagnosisOptions {
+    /// Scene and evidence.
+    pub on_scene: SceneSetting,
     /// From evidence to probabilities.
-    pub decision: Decision,
+    pub decision: DecisionThresholds,
     /// From probabilities to the verdict.
-    pub confirm: Setting,
+    pub confirm: ConfirmSetting,
 }
 
-/// Where a recording and its description differ: verdict, findings, fitted description.
+/// Diagnoses a recording: verdict, findings, fitted description.
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
-pub fn diagnose(case: &Case, options: &Options) -> Result<Diagnosis, NodeError> {
+pub fn diagnose(case: &Case, options: &DiagnosisOptions) -> Result<Diagnosis, NodeError> {
     let integrity = check(case)?;
-    let seen = if options.on_scene.scene == Estimated::None {
-        Seen::NotAsked
+    let seen = if options.on_scene.scene == SceneSource::None {
+        EvidenceOutcome::NotAsked
     } else {
-        match amended(case, &integrity)? {
+        match amend_or_refuse(case, &integrity)? {
             Ok(case) => on_frames(&case, &case.nominal()?, &integrity, &options.on_scene),
-            Err(why) => Seen::Nothing(why),
+            Err(why) => EvidenceOutcome::Nothing(why),
         }
     };
-    let nominal = Nominal::of(&amend(case, &integrity)?.sensor);
-    confirm(case, &options.confirm, integrity, proposed(seen, &nominal, &options.decision))
+    let nominal = Nominal::of(&amend_case(case, &integrity)?.sensor);
+    confirm(case, &options.confirm, integrity, decide_outcome(seen, &nominal, &options.decision))
 }
 
-/// The recording that events are compared with a scene in: with what direct tests found in its description;
-/// or why it states no scene.
+/// The recording for the comparison with a scene, with the direct tests' findings in its description; or the
+/// reason why no scene can be estimated.
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
-pub fn amended(case: &Case, integrity: &Integrity) -> Result<Result<Case, String>, NodeError> {
+pub fn amend_or_refuse(case: &Case, integrity: &Integrity) -> Result<Result<Case, String>, NodeError> {
     if !can_compare(case, integrity) {
         return Ok(Err("there is too little, or it is not sound enough, to estimate a scene".into()));
     }
@@ -120,14 +120,14 @@ pub fn amended(case: &Case, integrity: &Integrity) -> Result<Result<Case, String
     });
     match without_scene(&case.sensor).or(filters) {
         Some(why) => Ok(Err(why)),
-        None => Ok(sound_part(amend(case, integrity)?, integrity)),
+        None => Ok(part_without_failures(amend_case(case, integrity)?, integrity)),
     }
 }
 
-/// The frames, one after the other, and their events, during which nothing fails ([`Integrity::episodes`]),
-/// as many as there are; pixels that are hot for a while are out already. Why there are none where too few
-/// are.
-fn sound_part(case: Case, integrity: &Integrity) -> Result<Case, String> {
+/// The longest run of consecutive frames, with its events, without a temporary failure
+/// ([`Integrity::episodes`]). Temporarily hot pixels are excluded before. The reason where too few frames are
+/// left.
+fn part_without_failures(case: Case, integrity: &Integrity) -> Result<Case, String> {
     let failures = integrity.episodes.iter().filter(|episode| episode.pixels.is_empty());
     let failing: Vec<[i64; 2]> = failures.map(|episode| episode.time_ns).collect();
     let Some(frames) = case.frames.as_ref().filter(|_| !failing.is_empty()) else { return Ok(case) };
@@ -146,13 +146,18 @@ fn sound_part(case: Case, integrity: &Integrity) -> Result<Case, String> {
             from = frame + 1;
         }
     }
-    let part = (best.len() >= FEWEST_FRAMES).then(|| case.part(best)).filter(is_enough);
+    let part = (best.len() >= FEWEST_FRAMES).then(|| case.frame_range(best)).filter(is_enough);
     part.ok_or_else(|| "what fails for a while leaves too few frames without it, one after the other".into())
 }
 
-/// What the events of a recording ([`amended`]) miss on a scene that is fitted to its frames, or on the light
-/// of each pixel; numbers that the description leaves open are estimated first.
-pub fn on_frames(case: &Case, nominal: &Nominal, integrity: &Integrity, setting: &OnScene) -> Seen {
+/// Evidence of the events of a recording ([`amend_or_refuse`]) on a scene fitted to its frames, or on the
+/// light of each pixel. Parameters that the description states as ranges are estimated first.
+pub fn on_frames(
+    case: &Case,
+    nominal: &Nominal,
+    integrity: &Integrity,
+    setting: &SceneSetting,
+) -> EvidenceOutcome {
     let unknowns = unknowns(&case.sensor);
     if unknowns.is_empty() {
         return on_described(case, nominal, integrity, setting);
@@ -160,97 +165,109 @@ pub fn on_frames(case: &Case, nominal: &Nominal, integrity: &Integrity, setting:
     let estimated = match estimated(case, nominal, integrity, setting, &unknowns) {
         Ok(estimated) => estimated,
         Err(why) => {
-            return Seen::Nothing(format!("what the description leaves open is not estimated: {why}"));
+            return EvidenceOutcome::Nothing(format!(
+                "what the description leaves open is not estimated: {why}"
+            ));
         }
     };
     let case = Case { sensor: with_estimates(&case.sensor, &estimated), ..case.clone() };
     let nominal = match case.nominal() {
         Ok(nominal) => nominal,
-        Err(error) => return Seen::Nothing(error.message),
+        Err(error) => return EvidenceOutcome::Nothing(error.message),
     };
     match on_described(&case, &nominal, integrity, setting) {
-        Seen::Evidence(found) => Seen::Evidence(Box::new(Evidence { estimated, ..*found })),
+        EvidenceOutcome::Evidence(found) => {
+            EvidenceOutcome::Evidence(Box::new(SceneEvidence { estimated, ..*found }))
+        }
         other => other,
     }
 }
 
-/// Numbers that the description leaves open, on one moving picture of frames and events, or else on the light
-/// of each pixel.
+/// Estimates parameters that the description states as ranges, on one moving picture of frames and events, or
+/// else on the light of each pixel.
 fn estimated(
     case: &Case,
     nominal: &Nominal,
     integrity: &Integrity,
-    setting: &OnScene,
-    unknowns: &[Unknown],
-) -> Result<Vec<Estimate>, String> {
+    setting: &SceneSetting,
+    unknowns: &[UnknownParameter],
+) -> Result<Vec<SceneEstimate>, String> {
     let on_pixels = |why: String| {
         let found = free::estimated_on_pixels(case, nominal, unknowns);
         found.map_err(|other| format!("{why}; {other}"))
     };
-    if setting.scene == Estimated::Pixels || flickers(integrity, setting).is_some() {
+    if setting.scene == SceneSource::Pixels || flickers(integrity, setting).is_some() {
         return on_pixels(String::new());
     }
-    let part = case.busiest(setting.picture.most_values);
+    let part = case.busiest_frames(setting.picture.most_values);
     let part = part.as_ref().unwrap_or(case);
     let on_picture = MovingPicture::fit(part, nominal, &setting.picture)
         .and_then(|picture| free::estimated_on_picture(part, nominal, &picture, unknowns));
     on_picture.or_else(on_pixels)
 }
 
-/// The same of a description that leaves nothing open.
-fn on_described(case: &Case, nominal: &Nominal, integrity: &Integrity, setting: &OnScene) -> Seen {
+/// The same for a description without ranges.
+fn on_described(
+    case: &Case,
+    nominal: &Nominal,
+    integrity: &Integrity,
+    setting: &SceneSetting,
+) -> EvidenceOutcome {
     match setting.scene {
-        Estimated::Pixels => return seen(free::on_pixels(case, nominal)),
-        Estimated::Joint => {
-            return seen(on_part(case, integrity, setting, |part| on_joint(part, nominal, setting)));
+        SceneSource::Pixels => return evidence_outcome(free::on_pixels(case, nominal)),
+        SceneSource::Joint => {
+            return evidence_outcome(evidence_on_part(case, integrity, setting, |part| {
+                on_joint(part, nominal, setting)
+            }));
         }
         _ => {}
     }
-    let found = match on_part(case, integrity, setting, |part| on_picture(part, nominal, setting)) {
-        Ok(found) if setting.scene == Estimated::Picture || decides_alone(&found) => Ok(found),
-        Err(why) if setting.scene == Estimated::Picture => Err(why),
+    let found = match evidence_on_part(case, integrity, setting, |part| on_picture(part, nominal, setting)) {
+        Ok(found) if setting.scene == SceneSource::Picture || decides_alone(&found) => Ok(found),
+        Err(why) if setting.scene == SceneSource::Picture => Err(why),
         Ok(found) if found.on_joint.is_some() => Ok(found),
         Ok(found) => {
             let on_pixels = free::on_pixels(case, nominal).ok().map(Box::new);
-            Ok(Evidence { on_pixels, ..found })
+            Ok(SceneEvidence { on_pixels, ..found })
         }
         Err(why) => free::on_pixels(case, nominal).map_err(|other| format!("{why}; {other}")),
     };
-    seen(found)
+    evidence_outcome(found)
 }
 
 /// A picture that leaves less than this share of a threshold decides alone: as it does of textures whose
 /// frames have no noise. Not calibrated.
 const LEAVES_LITTLE: f64 = 0.03;
 
-/// Does a scene explain what it leaves well enough to decide without another one?
-fn decides_alone(found: &Evidence) -> bool {
+/// Is the misfit of a scene small enough to decide without another one?
+fn decides_alone(found: &SceneEvidence) -> bool {
     f64::max(found.control_median, found.left[0]) < LEAVES_LITTLE
 }
 
-/// A picture of frames alone claims nothing from a best effect that gains less than this, nats an event, by
-/// the built-in numbers of the decision.
+/// A picture of frames alone reports no effect with a smaller gain, nats per event, by the built-in
+/// thresholds.
 const CLAIMS_NOTHING: f64 = 0.1;
 
-/// Is a picture of frames alone all that is needed? What it claims, a picture of frames and events has to
-/// confirm: second effects that only make up for errors of the first picture are none on the other.
-fn is_settled(found: &Evidence) -> bool {
-    let claims = |one: &Ranked| one.beyond() > CLAIMS_NOTHING;
+/// Is a picture of frames alone sufficient? An effect that it reports must be confirmed by a picture of
+/// frames and events: a second effect that compensates errors of the first picture does not appear on the
+/// other.
+fn needs_no_joint_picture(found: &SceneEvidence) -> bool {
+    let claims = |one: &RankedEffect| one.gain_beyond_control() > CLAIMS_NOTHING;
     decides_alone(found) && !found.first.as_ref().is_some_and(claims)
 }
 
 /// Evidence on the part of a recording that a picture is fitted to; an error where the light flickers, as a
 /// picture does not.
-fn on_part(
+fn evidence_on_part(
     case: &Case,
     integrity: &Integrity,
-    setting: &OnScene,
-    on: impl Fn(&Case) -> Result<Evidence, String>,
-) -> Result<Evidence, String> {
+    setting: &SceneSetting,
+    on: impl Fn(&Case) -> Result<SceneEvidence, String>,
+) -> Result<SceneEvidence, String> {
     if let Some(why) = flickers(integrity, setting) {
         return Err(why);
     }
-    let part = case.busiest(setting.picture.most_values);
+    let part = case.busiest_frames(setting.picture.most_values);
     let (case, span_ns) = part.as_ref().map_or((case, None), |part| (part, Some(part.span)));
     let mut found = on(case)?;
     found.span_ns = span_ns;
@@ -259,23 +276,23 @@ fn on_part(
 }
 
 /// How the light flickers, where it does.
-fn flickers(integrity: &Integrity, setting: &OnScene) -> Option<String> {
-    // What flickers for a while is cut out ([`sound_part`]).
+fn flickers(integrity: &Integrity, setting: &SceneSetting) -> Option<String> {
+    // What flickers for a while is cut out ([`part_without_failures`]).
     let mut always = integrity.scene.iter().filter(|one| one.time_ns.is_none());
     let flicker = always.find(|one| one.depth > setting.most_flicker)?;
     Some(format!("the light flickers at {:.0} Hz by {:.0} %", flicker.frequency_hz, 100.0 * flicker.depth))
 }
 
 /// Evidence on one moving picture of frames and events together.
-fn on_joint(case: &Case, nominal: &Nominal, setting: &OnScene) -> Result<Evidence, String> {
+fn on_joint(case: &Case, nominal: &Nominal, setting: &SceneSetting) -> Result<SceneEvidence, String> {
     let picture = MovingPicture::fit(case, nominal, &setting.picture)?;
     free::on_picture(case, nominal, &picture)
 }
 
 /// The same on a scene that is fitted to the frames alone.
-fn on_picture(case: &Case, nominal: &Nominal, setting: &OnScene) -> Result<Evidence, String> {
+fn on_picture(case: &Case, nominal: &Nominal, setting: &SceneSetting) -> Result<SceneEvidence, String> {
     let fitted = match setting.scene {
-        Estimated::Parts => scene(case, nominal, &setting.picture, &setting.parts),
+        SceneSource::Parts => scene(case, nominal, &setting.picture, &setting.parts),
         _ => MovingPicture::fit(case, nominal, &setting.picture)
             .map(|picture| Box::new(picture) as Box<dyn Scene>),
     };
@@ -283,77 +300,89 @@ fn on_picture(case: &Case, nominal: &Nominal, setting: &OnScene) -> Result<Evide
     let found = evidence(case, nominal, &*scene, &setting.evidence)?;
     let picture = scene.as_any().and_then(|any| any.downcast_ref::<MovingPicture>());
     let on_joint = match picture {
-        Some(picture) if picture.is_one && !is_settled(&found) => {
+        Some(picture) if picture.is_one && !needs_no_joint_picture(&found) => {
             free::on_picture(case, nominal, picture).ok().map(Box::new)
         }
         _ => None,
     };
-    Ok(Evidence { on_joint, ..found })
+    Ok(SceneEvidence { on_joint, ..found })
 }
 
 /// Evidence, or why there is none.
-pub fn seen(found: Result<Evidence, String>) -> Seen {
-    found.map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(found)))
+pub fn evidence_outcome(found: Result<SceneEvidence, String>) -> EvidenceOutcome {
+    found.map_or_else(EvidenceOutcome::Nothing, |found| EvidenceOutcome::Evidence(Box::new(found)))
 }
 
-/// What evidence comes to; `nominal`: the sensor that events were compared with.
-pub fn proposed(seen: Seen, nominal: &Nominal, decision: &Decision) -> Proposed {
+/// Decides on the evidence. `nominal`: the sensor with which events were compared.
+pub fn decide_outcome(
+    seen: EvidenceOutcome,
+    nominal: &Nominal,
+    decision: &DecisionThresholds,
+) -> DecisionOutcome {
     match seen {
-        Seen::NotAsked => Proposed::NotAsked,
-        Seen::Nothing(why) => Proposed::Nothing(why),
-        Seen::Evidence(found) => {
-            let nominal = of_estimates(nominal, &found.estimated);
-            match of_all(&found, &nominal, decision) {
-                Ok(decided) => {
-                    Proposed::Decided(Box::new(Decided { estimated: found.estimated.clone(), ..decided }))
-                }
-                Err(why) => Proposed::Nothing(why),
+        EvidenceOutcome::NotAsked => DecisionOutcome::NotAsked,
+        EvidenceOutcome::Nothing(why) => DecisionOutcome::Nothing(why),
+        EvidenceOutcome::Evidence(found) => {
+            let nominal = nominal_with_estimates(nominal, &found.estimated);
+            match decide_on_all_scenes(&found, &nominal, decision) {
+                Ok(decided) => DecisionOutcome::Decided(Box::new(SceneDecision {
+                    estimated: found.estimated.clone(),
+                    ..decided
+                })),
+                Err(why) => DecisionOutcome::Nothing(why),
             }
         }
     }
 }
 
-/// Is a decision of what is in no catalogue, or random? The one is not sought on a picture of frames and
-/// events together, and the other on fewer pixels.
-fn is_sought_there(alone: &Decided) -> bool {
+/// Is the decision uncatalogued or random? A picture of frames and events does not test the first, and tests
+/// the other on fewer pixels.
+fn is_beyond_joint_picture(alone: &SceneDecision) -> bool {
     let is_random = alone.proposals.first().is_some_and(|one| CANDIDATES[one.candidate].is_random);
     alone.detected && (is_random || alone.unexplained.is_some())
 }
 
-/// What the evidence of all scenes comes to.
-fn of_all(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Result<Decided, String> {
-    let on = |other: &Option<Box<Evidence>>| other.as_ref().map(|found| decide(found, nominal, decision));
+/// Joins the decisions on all scenes.
+fn decide_on_all_scenes(
+    found: &SceneEvidence,
+    nominal: &Nominal,
+    decision: &DecisionThresholds,
+) -> Result<SceneDecision, String> {
+    let on =
+        |other: &Option<Box<SceneEvidence>>| other.as_ref().map(|found| decide(found, nominal, decision));
     let alone = decide(found, nominal, decision);
     // The picture that explains the events better decides, with the best effect of each applied.
-    let explains = |joint: &Evidence| alone.is_err() || joint.left[0] < found.left[0];
+    let explains = |joint: &SceneEvidence| alone.is_err() || joint.left[0] < found.left[0];
     if found.on_joint.as_deref().is_some_and(explains)
         && let Some(Ok(joint)) = on(&found.on_joint)
     {
         let (left, share) = found.on_joint.as_ref().map_or((0.0, 0.0), |joint| (joint.left[0], joint.share));
         let other_scene =
             format!("it leaves {left:.3} of a threshold, the picture of frames alone {:.3}", found.left[0]);
-        let alone = alone.ok().filter(is_sought_there).filter(|_| !joint.detected).map(|alone| Decided {
-            other_scene: format!(
-                "the picture of frames and events shows nothing on {:.0} % of them",
-                100.0 * share
-            ),
-            ..alone
+        let alone = alone.ok().filter(is_beyond_joint_picture).filter(|_| !joint.detected).map(|alone| {
+            SceneDecision {
+                other_scene: format!(
+                    "the picture of frames and events shows nothing on {:.0} % of them",
+                    100.0 * share
+                ),
+                ..alone
+            }
         });
-        return Ok(alone.unwrap_or(Decided { other_scene, ..joint }));
+        return Ok(alone.unwrap_or(SceneDecision { other_scene, ..joint }));
     }
     match (alone, on(&found.on_pixels)) {
         // What the picture does not show, the light of pixels may.
         (Ok(alone), Some(Ok(on_pixels))) if !alone.detected && on_pixels.detected => {
-            Ok(Decided { other_scene: "the picture shows nothing".into(), ..on_pixels })
+            Ok(SceneDecision { other_scene: "the picture shows nothing".into(), ..on_pixels })
         }
         // And where neither shows anything, either would have.
         (Ok(alone), Some(Ok(on_pixels))) if !alone.detected => {
-            let detectability = either(&alone.detectability, &on_pixels.detectability);
+            let detectability = smaller_limits(&alone.detectability, &on_pixels.detectability);
             let other_scene = "nor does the light of each pixel show anything".into();
-            Ok(Decided { detectability, other_scene, ..alone })
+            Ok(SceneDecision { detectability, other_scene, ..alone })
         }
         (Err(why), Some(Ok(on_pixels))) => {
-            Ok(Decided { other_scene: format!("on the picture {why}"), ..on_pixels })
+            Ok(SceneDecision { other_scene: format!("on the picture {why}"), ..on_pixels })
         }
         (Err(why), Some(Err(other))) => Err(format!("{why}; {other}")),
         (alone, _) => alone,
@@ -381,7 +410,7 @@ mod tests {
         let count = case.frame_count();
         let start = |frame: usize| frames.times.exposure(frame, 0).start.0;
         let of = |episodes: Vec<Episode>| {
-            sound_part(case.clone(), &Integrity { episodes, ..Integrity::default() })
+            part_without_failures(case.clone(), &Integrity { episodes, ..Integrity::default() })
         };
         // During the second frame.
         let stall = episode(Failure::Stall, [start(1), start(1) + 1000], Vec::new());
@@ -416,9 +445,9 @@ mod tests {
     }
 
     /// A scene on which a clock offset gains so much, nats an event, and has this information.
-    fn on_scene(scene: &str, left: f64, gain: f64, information: f64) -> Evidence {
+    fn on_scene(scene: &str, left: f64, gain: f64, information: f64) -> SceneEvidence {
         let candidate = CANDIDATES.iter().position(|one| one.id == "clock_offset").unwrap();
-        let clock = Ranked {
+        let clock = RankedEffect {
             candidate,
             gain,
             information,
@@ -427,18 +456,26 @@ mod tests {
             value: 5e-4,
             is_exact: true,
             is_material: true,
-            ..Ranked::default()
+            ..RankedEffect::default()
         };
         let left = [left; 2];
-        Evidence { scene: scene.into(), share: 0.5, left, ranked: vec![clock], ..Evidence::default() }
+        SceneEvidence {
+            scene: scene.into(),
+            share: 0.5,
+            left,
+            ranked: vec![clock],
+            ..SceneEvidence::default()
+        }
     }
 
     #[test]
     fn of_two_scenes_one_decides_and_what_the_other_leaves_or_shows_is_stated() {
         let nominal = testing::case().nominal().unwrap();
-        let of = |found: &Evidence| of_all(found, &nominal, &Decision::default()).unwrap();
-        let with_joint = |joint: Evidence, picture: Evidence| {
-            let decided = of(&Evidence { on_joint: Some(Box::new(joint)), ..picture });
+        let of = |found: &SceneEvidence| {
+            decide_on_all_scenes(found, &nominal, &DecisionThresholds::default()).unwrap()
+        };
+        let with_joint = |joint: SceneEvidence, picture: SceneEvidence| {
+            let decided = of(&SceneEvidence { on_joint: Some(Box::new(joint)), ..picture });
             (decided.name, decided.other_scene)
         };
         // The picture that leaves less.
@@ -450,13 +487,13 @@ mod tests {
         );
         let alone = with_joint(on_scene("joint", 0.08, 0.0, 1.0), on_scene("picture", 0.05, 1.0, 1.0));
         assert_eq!(alone, ("picture".to_owned(), String::new()));
-        let with_pixels = |pixels: Evidence, picture: Evidence| {
-            of(&Evidence { on_pixels: Some(Box::new(pixels)), ..picture })
+        let with_pixels = |pixels: SceneEvidence, picture: SceneEvidence| {
+            of(&SceneEvidence { on_pixels: Some(Box::new(pixels)), ..picture })
         };
         let shown = with_pixels(on_scene("pixels", 0.05, 1.0, 1.0), on_scene("picture", 0.05, 0.0, 1.0));
         assert_eq!((&shown.name[..], &shown.other_scene[..]), ("pixels", "the picture shows nothing"));
         // Where neither shows anything, the smaller limit counts.
-        let limit = |decided: &Decided| decided.detectability[0].minimal_detectable;
+        let limit = |decided: &SceneDecision| decided.detectability[0].minimal_detectable;
         let neither = with_pixels(on_scene("pixels", 0.05, 0.0, 1e6), on_scene("picture", 0.05, 0.0, 1.0));
         let pixels = of(&on_scene("pixels", 0.05, 0.0, 1e6));
         let picture = of(&on_scene("picture", 0.05, 0.0, 1.0));

@@ -1,5 +1,4 @@
-//! Activity mask: where and when pixels fire with events of their neighbours; motion is estimated nowhere
-//! else.
+//! Activity mask: places and times with neighbouring events. Motion is estimated nowhere else.
 
 use photocurrent_core::Extent;
 
@@ -44,13 +43,13 @@ impl Activity {
         activity.is_active = activity
             .fires
             .chunks_exact(columns * lines)
-            .flat_map(|blocks| activity.around(blocks, AROUND))
+            .flat_map(|blocks| activity.dilated(blocks, AROUND))
             .collect();
         activity
     }
 
-    /// Blocks within so many blocks of some.
-    fn around(&self, blocks: &[bool], reach: usize) -> Vec<bool> {
+    /// Dilates a mask of blocks by `reach` blocks.
+    fn dilated(&self, blocks: &[bool], reach: usize) -> Vec<bool> {
         let Activity { columns, lines, .. } = *self;
         let mut around = vec![false; blocks.len()];
         for at in (0..blocks.len()).filter(|at| blocks[*at]) {
@@ -65,7 +64,7 @@ impl Activity {
     }
 
     /// Blocks that are marked in some interval between two instants.
-    fn at_some(&self, of: &[bool], between: (i64, i64)) -> Vec<bool> {
+    fn marked_between(&self, of: &[bool], between: (i64, i64)) -> Vec<bool> {
         let mut blocks = vec![false; self.columns * self.lines];
         for time in self.times(between) {
             blocks
@@ -77,16 +76,19 @@ impl Activity {
     }
 
     /// Which pixels, row by row, lie in or next to a block that fires between two instants.
-    pub fn pixels(&self, between: (i64, i64), extent: Extent) -> Vec<bool> {
-        let blocks = self.around(&self.at_some(&self.fires, between), 1);
+    pub fn active_pixels(&self, between: (i64, i64), extent: Extent) -> Vec<bool> {
+        let blocks = self.dilated(&self.marked_between(&self.fires, between), 1);
         let of_row = |y: usize| (0..extent.width as usize).map(move |x| y / SIDE * self.columns + x / SIDE);
         (0..extent.height as usize).flat_map(of_row).map(|block| blocks[block]).collect()
     }
 
-    /// Numbers of those of these pixels, by column and row, that are active at some time between two
-    /// instants.
-    pub fn places(&self, between: (i64, i64), pixels: impl Iterator<Item = (usize, usize)>) -> Vec<usize> {
-        let blocks = self.at_some(&self.is_active, between);
+    /// Indices of the pixels (column, row) that are active at some time between two instants, ns.
+    pub fn active_places(
+        &self,
+        between: (i64, i64),
+        pixels: impl Iterator<Item = (usize, usize)>,
+    ) -> Vec<usize> {
+        let blocks = self.marked_between(&self.is_active, between);
         pixels
             .enumerate()
             .filter(|(_, (x, y))| blocks[y / SIDE * self.columns + x / SIDE])
@@ -112,13 +114,16 @@ mod tests {
     fn places_near_neighbouring_events_are_active_for_a_while() {
         let activity = Activity::new(EXTENT, (0, 1_000_000_000), std::iter::once((60, 40, 100_000_000)));
         let at = |x: usize, y: usize, ms: i64| {
-            !activity.places((ms * 1_000_000, ms * 1_000_000), [(x, y)].into_iter()).is_empty()
+            !activity.active_places((ms * 1_000_000, ms * 1_000_000), [(x, y)].into_iter()).is_empty()
         };
         assert!(at(60, 40, 100) && at(60 + 16, 40 - 16, 100) && at(60, 40, 90) && at(60, 40, 111));
         assert!(!at(60 + 40, 40, 100) && !at(60, 40 + 40, 100) && !at(60, 40, 50) && !at(60, 40, 150));
         // A span of time counts as a whole.
-        assert_eq!(activity.places((0, 1_000_000_000), [(0, 0), (60, 40), (199, 99)].into_iter()), [1]);
-        let pixels = activity.pixels((0, 1_000_000_000), EXTENT);
+        assert_eq!(
+            activity.active_places((0, 1_000_000_000), [(0, 0), (60, 40), (199, 99)].into_iter()),
+            [1]
+        );
+        let pixels = activity.active_pixels((0, 1_000_000_000), EXTENT);
         assert!(pixels[40 * 200 + 60] && pixels[33 * 200 + 60] && !pixels[20 * 200 + 60]);
     }
 }

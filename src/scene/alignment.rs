@@ -1,13 +1,14 @@
-//! Where the pixels of an event array lie on frames of another camera.
+//! Places of an event array's pixels on frames of another camera.
 //!
 //! Each event pixel has a place on the frames, in pixels: by a calibration, or recovered from events that
-//! were warped there. Frames are seen by the event pixels as means over what each covers; what was solved on
-//! the event array goes back to the frames' pixels between the four event pixels around each, bilinear.
+//! were warped there. Frames are resampled to event pixels as means over what each covers. Values solved on
+//! the event array are interpolated to the frames' pixels, bilinear between the four event pixels around
+//! each.
 //!
-//! Limits: places are a smooth map that turns by less than a right angle and does not fold; beyond the event
-//! array a pixel has the value of the nearest event pixel, as far as one pitch, and none further out.
+//! Limits: places are a smooth map that turns by less than a right angle and does not fold. Beyond the event
+//! array a pixel has the value of the nearest event pixel, up to one pitch, and none further out.
 
-use crate::image::{Image, between};
+use crate::image::{Image, bracketing_index};
 use photocurrent_core::{Extent, MapBand, MapMeta, MapSet, NodeError};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -15,7 +16,7 @@ use std::sync::Arc;
 /// Names of the two planes of a map of places: column and row on the frames, pixels.
 pub const PLANES: [&str; 2] = ["x [px]", "y [px]"];
 
-/// A pixel covers so many samples along either side.
+/// Samples per pixel along either side.
 const SAMPLES: usize = 3;
 /// Steps of the inverse, at most.
 const STEPS: usize = 30;
@@ -35,11 +36,11 @@ pub struct Alignment {
 
 /// The parts of an event pixel.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Cell(Vec<(f64, f64)>);
+pub struct PixelParts(Vec<(f64, f64)>);
 
-/// The event pixels around a pixel of the frames, and what each counts; all 0 where there is none.
+/// Bilinear weights of the event pixels around a pixel of the frames; all 0 where there is none.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Around {
+pub struct BilinearWeights {
     /// Numbers of the event pixels, row by row.
     pub at: [usize; 4],
     /// They sum to 1.
@@ -47,11 +48,11 @@ pub struct Around {
 }
 
 impl Alignment {
-    /// Of a map with the planes [`PLANES`].
+    /// From a map with the planes [`PLANES`].
     ///
     /// # Errors
     /// When the map cannot be read, or holds a number that is no place.
-    pub fn of(map: &MapSet) -> Result<Alignment, NodeError> {
+    pub fn from_map(map: &MapSet) -> Result<Alignment, NodeError> {
         Alignment::check(&map.meta)?;
         let (events, band) = (map.meta.extent, map.read(map.meta.extent.rows())?);
         let plane = |plane: usize| -> Vec<f32> {
@@ -84,7 +85,7 @@ impl Alignment {
         Ok(())
     }
 
-    /// What its map is.
+    /// Metadata of its map.
     pub fn meta(events: Extent) -> MapMeta {
         MapMeta { extent: events, planes: PLANES.map(String::from).to_vec() }
     }
@@ -102,17 +103,17 @@ impl Alignment {
         MapSet::in_memory(Arc::new(meta), band)
     }
 
-    fn place(&self, column: usize, row: usize) -> (f64, f64) {
+    fn frame_place(&self, column: usize, row: usize) -> (f64, f64) {
         let at = row * self.events.width as usize + column;
         (f64::from(self.x[at]), f64::from(self.y[at]))
     }
 
-    /// The place of a fraction of a column and row, bilinear; beyond the array it goes on as at its border.
+    /// The place of a fractional column and row, bilinear; extrapolated beyond the array.
     pub fn place_at(&self, column: f64, row: f64) -> (f64, f64) {
         let (columns, lines) = (self.events.width as usize, self.events.height as usize);
-        let ((i, s), (j, t)) = (between(column, columns), between(row, lines));
-        let (a, b) = (self.place(i, j), self.place(i + 1, j));
-        let (c, d) = (self.place(i, j + 1), self.place(i + 1, j + 1));
+        let ((i, s), (j, t)) = (bracketing_index(column, columns), bracketing_index(row, lines));
+        let (a, b) = (self.frame_place(i, j), self.frame_place(i + 1, j));
+        let (c, d) = (self.frame_place(i, j + 1), self.frame_place(i + 1, j + 1));
         let mix = |a: f64, b: f64, c: f64, d: f64| {
             (1.0 - t) * ((1.0 - s) * a + s * b) + t * ((1.0 - s) * c + s * d)
         };
@@ -162,8 +163,8 @@ impl Alignment {
     }
 
     /// The event pixels around each pixel of frames of a size, row by row.
-    pub fn around(&self, frames: Extent) -> Vec<Around> {
-        let none = Around { at: [0; 4], weights: [0.0; 4] };
+    pub fn bilinear_weights(&self, frames: Extent) -> Vec<BilinearWeights> {
+        let none = BilinearWeights { at: [0; 4], weights: [0.0; 4] };
         let (columns, lines) = (self.events.width as usize, self.events.height as usize);
         let middle = (columns as f64 / 2.0, lines as f64 / 2.0);
         let of_line = |y: usize| {
@@ -179,19 +180,20 @@ impl Alignment {
                     return none;
                 }
                 let cell = |at: f64, count: usize| {
-                    let (cell, rest) = between(at.clamp(0.0, (count - 1) as f64), count);
+                    let (cell, rest) = bracketing_index(at.clamp(0.0, (count - 1) as f64), count);
                     (cell, rest as f32)
                 };
                 let ((i, s), (j, t)) = (cell(found.0, columns), cell(found.1, lines));
                 let at = j * columns + i;
-                Around {
+                BilinearWeights {
                     at: [at, at + 1, at + columns, at + columns + 1],
                     weights: [(1.0 - t) * (1.0 - s), (1.0 - t) * s, t * (1.0 - s), t * s],
                 }
             };
-            (0..frames.width as usize).map(of).collect::<Vec<Around>>()
+            (0..frames.width as usize).map(of).collect::<Vec<BilinearWeights>>()
         };
-        let lines: Vec<Vec<Around>> = (0..frames.height as usize).into_par_iter().map(of_line).collect();
+        let lines: Vec<Vec<BilinearWeights>> =
+            (0..frames.height as usize).into_par_iter().map(of_line).collect();
         lines.concat()
     }
 
@@ -207,12 +209,12 @@ impl Alignment {
         inside(self.x[at], frames.width) && inside(self.y[at], frames.height)
     }
 
-    /// A picture of the frames as the event pixels see it: means over what each covers, at its place. What
-    /// lies beyond the frames is as at their border.
+    /// Resamples a picture of the frames to the event pixels: means over what each covers. Beyond the frames
+    /// the border value is used.
     pub fn to_events(&self, picture: &Image) -> Image {
         let (columns, lines) = (self.events.width as usize, self.events.height as usize);
         let frames = Extent { width: picture.width as u32, height: picture.height as u32 };
-        let cell = self.cell();
+        let cell = self.pixel_parts();
         let read = |at: usize| {
             let mut sum = 0.0;
             self.covered(&cell, at, frames, |pixel, share| sum += share * f64::from(picture.values[pixel]));
@@ -222,28 +224,31 @@ impl Alignment {
         Image { width: columns, height: lines, values }
     }
 
-    /// Where the parts of an event pixel lie from its place, pixels of the frames.
-    pub fn cell(&self) -> Cell {
+    /// Offsets of the parts of an event pixel from its place, pixels of the frames.
+    pub fn pixel_parts(&self) -> PixelParts {
         let basis = self.basis();
         let share = |n: usize| (n as f64 + 0.5) / SAMPLES as f64 - 0.5;
         let of = |n: usize, m: usize| {
             // Pixels of the frames are means over a pixel already: what is wider is sampled.
-            let (u, v) = (self.wider(0) * share(n), self.wider(1) * share(m));
+            let (u, v) = (self.extra_width(0) * share(n), self.extra_width(1) * share(m));
             (u * basis[0].0 + v * basis[1].0, u * basis[0].1 + v * basis[1].1)
         };
-        if self.wider(0) == 0.0 && self.wider(1) == 0.0 {
-            return Cell(vec![(0.0, 0.0)]);
+        if self.extra_width(0) == 0.0 && self.extra_width(1) == 0.0 {
+            return PixelParts(vec![(0.0, 0.0)]);
         }
-        Cell((0..SAMPLES).flat_map(|n| (0..SAMPLES).map(move |m| (n, m))).map(|(n, m)| of(n, m)).collect())
+        PixelParts(
+            (0..SAMPLES).flat_map(|n| (0..SAMPLES).map(move |m| (n, m))).map(|(n, m)| of(n, m)).collect(),
+        )
     }
 
-    /// Calls `each` with the pixels of frames of a size that an event pixel covers, and what part of it each
-    /// is; a pixel may come several times, and parts sum to 1.
-    pub fn covered(&self, cell: &Cell, at: usize, frames: Extent, mut each: impl FnMut(usize, f64)) {
+    /// Calls `each` with the pixels of frames that an event pixel covers, and their shares; a pixel may come
+    /// several times, and shares sum to 1.
+    pub fn covered(&self, cell: &PixelParts, at: usize, frames: Extent, mut each: impl FnMut(usize, f64)) {
         let (x, y) = (f64::from(self.x[at]), f64::from(self.y[at]));
         let width = frames.width as usize;
         let part = 1.0 / cell.0.len() as f64;
-        let split = |at: f64, count: u32| between(at.clamp(0.0, f64::from(count - 1)), count as usize);
+        let split =
+            |at: f64, count: u32| bracketing_index(at.clamp(0.0, f64::from(count - 1)), count as usize);
         for (right, down) in &cell.0 {
             let ((i, s), (j, t)) = (split(x + right, frames.width), split(y + down, frames.height));
             let corners =
@@ -254,16 +259,17 @@ impl Alignment {
         }
     }
 
-    /// What part of its pitch an event pixel covers beyond a pixel of the frames: 0 where that is as large.
-    fn wider(&self, axis: usize) -> f64 {
+    /// Width of an event pixel beyond a pixel of the frames, as a share of its pitch; 0 where it is no
+    /// larger.
+    fn extra_width(&self, axis: usize) -> f64 {
         let pitch = self.pitch()[axis];
         f64::max(pitch * pitch - 1.0, 0.0).sqrt() / f64::max(pitch, f64::MIN_POSITIVE)
     }
 }
 
-impl Around {
-    /// The value of a pixel of the frames, of values of the event pixels.
-    pub fn of(&self, values: &[f32]) -> f32 {
+impl BilinearWeights {
+    /// The value at a pixel of the frames, interpolated from values of the event pixels.
+    pub fn interpolate(&self, values: &[f32]) -> f32 {
         self.at.iter().zip(self.weights).map(|(at, weight)| weight * values[*at]).sum()
     }
 
@@ -272,7 +278,7 @@ impl Around {
         self.weights.iter().any(|weight| *weight > 0.0)
     }
 
-    /// The one of them that counts most.
+    /// Index of the event pixel with the largest weight.
     pub fn nearest(&self) -> usize {
         let first = (self.at[0], self.weights[0]);
         let pairs = self.at.into_iter().zip(self.weights);
@@ -324,20 +330,20 @@ mod tests {
                 assert!((f64::from(*value) - plane(x, y)).abs() < 1e-3, "{at}");
             }
         }
-        for (at, around) in alignment.around(frames).iter().enumerate() {
+        for (at, around) in alignment.bilinear_weights(frames).iter().enumerate() {
             let (x, y) = ((at % 46) as f64, (at / 46) as f64);
             if (6.0..40.0).contains(&x) && (6.0..28.0).contains(&y) {
                 let sum: f32 = around.weights.iter().sum();
                 assert!((sum - 1.0).abs() < 1e-5);
                 // Places between are bilinear, and the map bends little within a cell.
-                assert!((f64::from(around.of(&seen.values)) - plane(x, y)).abs() < 5e-3, "{x} {y}");
+                assert!((f64::from(around.interpolate(&seen.values)) - plane(x, y)).abs() < 5e-3, "{x} {y}");
             }
         }
     }
 
     #[test]
     fn far_beyond_the_array_nothing_is_known() {
-        let around = bent().around(Extent { width: 80, height: 60 });
+        let around = bent().bilinear_weights(Extent { width: 80, height: 60 });
         assert!(!around[79].is_known() && !around[59 * 80].is_known() && around[20 * 80 + 20].is_known());
     }
 }

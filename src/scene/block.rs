@@ -18,7 +18,7 @@ pub struct Block {
 
 impl Block {
     /// The whole array.
-    pub fn all(extent: Extent) -> Block {
+    pub fn whole_array(extent: Extent) -> Block {
         Block { x: 0, y: 0, width: extent.width as usize, height: extent.height as usize }
     }
 

@@ -1,8 +1,8 @@
-//! What is diagnosed: the events of every pixel in order of time, the frames, and the description of the
+//! A recording in memory: the events of every pixel in order of time, the frames, and the description of the
 //! sensor.
 
-use crate::grey::{Clipped, Grey};
-use crate::recorded::Gathered;
+use crate::grey::{GreyFrames, SaturatedMean};
+use crate::recorded::EventGatherer;
 pub use crate::recorded::{CaseFrames, PixelEvents};
 use photocurrent_core::events::{Event, EventRow};
 use photocurrent_core::frames::FrameSource;
@@ -16,17 +16,17 @@ pub use photocurrent_sensor::comparator::PixelEvent;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Events are read in at most so many bands of rows: each of them may be a scan of the whole file.
+/// Most bands of rows in which events are read: each may be a scan of the whole file.
 const MOST_BANDS: u64 = 8;
 /// Fewer events than this are no band of their own.
 const BAND_EVENTS: u64 = 1 << 20;
 
-/// Number of bands in which so many events are read.
+/// Number of bands for reading a number of events.
 fn bands(events: u64) -> u64 {
     (events / BAND_EVENTS).clamp(1, MOST_BANDS)
 }
 
-/// A recording that is to be diagnosed. A copy shares events and frame values.
+/// A recording to be diagnosed. A copy shares events and frame values.
 #[derive(Clone, Debug)]
 pub struct Case {
     /// Size of the array.
@@ -70,7 +70,7 @@ impl Case {
         let neither = || DataError::new("the recording has neither events nor frames");
         let extent =
             events.map(|events| events.extent).or(frames.map(|frames| frames.extent)).ok_or_else(neither)?;
-        let grey = frames.map(|frames| Grey::new(extent, frames, sensor)).transpose()?;
+        let grey = frames.map(|frames| GreyFrames::new(extent, frames, sensor)).transpose()?;
         Ok(Case {
             extent,
             span: Case::span_of(events, frames.map(|frames| (&frames.times, extent.height))),
@@ -99,10 +99,10 @@ impl Case {
             (None, Some(frames)) => frames.meta.extent,
             (None, None) => return Err(DataError::new("the recording has neither events nor frames")),
         };
-        let grey = frames.map(|frames| Grey::new(extent, &frames.meta, sensor)).transpose()?;
+        let grey = frames.map(|frames| GreyFrames::new(extent, &frames.meta, sensor)).transpose()?;
         let latency_ns = sensor.readout.latency_min.map_or(0, Duration::ns);
         let count = events.and_then(|events| events.meta.count_hint).unwrap_or(0);
-        let mut gathered = Gathered::default();
+        let mut gathered = EventGatherer::default();
         match events {
             Some(events) => {
                 for rows in extent.rows().bands(u64::from(extent.height).div_ceil(bands(count)) as u32) {
@@ -117,8 +117,10 @@ impl Case {
         let both = frames.zip(grey).filter(|(frames, _)| !frames.is_empty());
         let frames = both
             .map(|(frames, grey)| -> Result<CaseFrames, DataError> {
-                let mut read =
-                    CaseFrames::new(grey.times(&frames.meta.times), grey.read(frames, Clipped::Unknown)?);
+                let mut read = CaseFrames::new(
+                    grey.times(&frames.meta.times),
+                    grey.read(frames, SaturatedMean::Unknown)?,
+                );
                 read.filters = grey.is_behind_filters().then_some(frames.meta.colour);
                 Ok(read)
             })
@@ -141,7 +143,7 @@ impl Case {
     /// The events and the frames as data that others take, cut out of this recording as they are read; frames
     /// are grey, as captured.
     pub fn streams(&self) -> (EventStream, Option<FrameSequence>) {
-        let (rows, shared) = (self.extent.rows(), Arc::new(Shared(self.clone())));
+        let (rows, shared) = (self.extent.rows(), Arc::new(SharedEvents(self.clone())));
         let events = EventStream::new(Arc::new(self.events_meta()), rows, shared.clone());
         let frames = self.frames.as_ref().map(|frames| {
             let meta = FramesMeta {
@@ -155,7 +157,7 @@ impl Case {
         (events, frames)
     }
 
-    /// What is known of the stream of [`Case::streams`] without its events.
+    /// Metadata of the stream of [`Case::streams`].
     pub fn events_meta(&self) -> EventsMeta {
         EventsMeta {
             extent: self.extent,
@@ -167,7 +169,7 @@ impl Case {
         }
     }
 
-    /// First and last instant of a recording, ns, from what is known before its data; (0, 0) when nothing is.
+    /// First and last instant of a recording, ns, from its metadata; (0, 0) without them.
     pub fn span_of(events: Option<&EventsMeta>, frames: Option<(&FrameTimes, u32)>) -> (i64, i64) {
         let span = |span: TimeSpan| (span.start.0, span.end.0);
         let covered = frames.and_then(|(times, height)| times.span(height)).map(span);
@@ -180,7 +182,7 @@ impl Case {
     /// The neighbouring frames of at most `values` values in all with the most events between them, and the
     /// events from the first one's start to the last one's end; none where all frames fit, or fewer than
     /// three do.
-    pub fn busiest(&self, values: usize) -> Option<Case> {
+    pub fn busiest_frames(&self, values: usize) -> Option<Case> {
         let frames = self.frames.as_ref()?;
         let pixels = self.extent.pixels();
         let (count, all) = (values / pixels.max(1), frames.times.len());
@@ -198,14 +200,14 @@ impl Case {
             instants.partition_point(|t| *t < end) - instants.partition_point(|t| *t < begin)
         };
         let from = (0..=all - count).max_by_key(|&from| (number(from), usize::MAX - from))?;
-        Some(self.part(from..from + count))
+        Some(self.frame_range(from..from + count))
     }
 
-    /// Some of its frames, with the events from the first one's begin to the last one's end.
+    /// A range of its frames, with the events from the start of the first one to the end of the last one.
     ///
     /// # Panics
-    /// Without these frames.
-    pub fn part(&self, of: Range<usize>) -> Case {
+    /// Where it does not have these frames.
+    pub fn frame_range(&self, of: Range<usize>) -> Case {
         let frames = self.frames.as_ref().expect("frames are there");
         let pixels = self.extent.pixels();
         let span = (
@@ -215,13 +217,13 @@ impl Case {
         let within =
             |event: &&PixelEvent| (span.0..span.1).contains(&event.t_in_ns) && event.t_off_ns < span.1;
         let events = PixelEvents::new(
-            (0..pixels).map(|pixel| self.events.of(pixel).iter().filter(within).copied().collect()),
+            (0..pixels).map(|pixel| self.events.of_pixel(pixel).iter().filter(within).copied().collect()),
         );
-        Case { span, events, frames: Some(frames.part(of)), sensor: self.sensor.clone(), ..*self }
+        Case { span, events, frames: Some(frames.frame_range(of)), sensor: self.sensor.clone(), ..*self }
     }
 
     /// Column and row of a pixel.
-    pub fn place(&self, pixel: usize) -> (u32, u32) {
+    pub fn pixel_place(&self, pixel: usize) -> (u32, u32) {
         let width = self.extent.width as usize;
         ((pixel % width) as u32, (pixel / width) as u32)
     }
@@ -241,24 +243,24 @@ impl Case {
 
     /// The recording without some pixels: they have no event, and their frame values are not known.
     #[must_use]
-    pub fn without(&self, pixels: &[u32]) -> Case {
+    pub fn without_pixels(&self, pixels: &[u32]) -> Case {
         let frames = self.frames.as_ref().map(|frames| frames.without_pixels(pixels));
-        Case { events: self.events.without(pixels), frames, sensor: self.sensor.clone(), ..*self }
+        Case { events: self.events.without_pixels(pixels), frames, sensor: self.sensor.clone(), ..*self }
     }
 }
 
 /// A recording in memory as a source of rows.
-struct Shared(Case);
+struct SharedEvents(Case);
 
-impl BandSource<EventBand> for Shared {
+impl BandSource<EventBand> for SharedEvents {
     fn read(&self, rows: Rows) -> Result<EventBand, DataError> {
-        let Shared(case) = self;
+        let SharedEvents(case) = self;
         let width = case.extent.width as usize;
         let pixels = rows.start as usize * width..rows.end as usize * width;
         let mut events = Vec::with_capacity(case.events.count(pixels.clone()));
         for pixel in pixels {
-            let (x, y) = case.place(pixel);
-            events.extend(case.events.of(pixel).iter().map(|event| Event {
+            let (x, y) = case.pixel_place(pixel);
+            events.extend(case.events.of_pixel(pixel).iter().map(|event| Event {
                 x: x as u16,
                 y: y as u16,
                 polarity: if event.polarity > 0 { Polarity::On } else { Polarity::Off },
@@ -274,7 +276,7 @@ impl BandSource<EventBand> for Shared {
     }
 }
 
-impl FrameSource for Shared {
+impl FrameSource for SharedEvents {
     fn read(&self, frames: Range<usize>, rows: Rows) -> Result<FrameBlock, DataError> {
         let width = self.0.extent.width as usize;
         let mut block = FrameBlock::zeros(frames.clone(), rows, width);
@@ -293,7 +295,7 @@ impl FrameSource for Shared {
 }
 
 /// The events of a row, pixel by pixel.
-fn gather(row: &EventRow<'_>, width: u32, latency_ns: i64, gathered: &mut Gathered) {
+fn gather(row: &EventRow<'_>, width: u32, latency_ns: i64, gathered: &mut EventGatherer) {
     let mut of = vec![Vec::new(); width as usize];
     for k in 0..row.len() {
         let t_off_ns = row.t[k];
@@ -368,12 +370,12 @@ mod tests {
     fn the_busiest_frames_are_those_with_the_most_events_between_them() {
         let case = testing::case();
         let pixels = case.extent.pixels();
-        assert!(case.busiest(7 * pixels).is_none() && case.busiest(2 * pixels).is_none());
+        assert!(case.busiest_frames(7 * pixels).is_none() && case.busiest_frames(2 * pixels).is_none());
         // Events of the last 25 ms only: the last four of seven frames have them all.
         let late = PixelEvents::new((0..pixels).map(|pixel| {
-            case.events.of(pixel).iter().filter(|event| event.t_in_ns > 35_000_000).copied().collect()
+            case.events.of_pixel(pixel).iter().filter(|event| event.t_in_ns > 35_000_000).copied().collect()
         }));
-        let part = Case { events: late, ..case.clone() }.busiest(4 * pixels + 5).unwrap();
+        let part = Case { events: late, ..case.clone() }.busiest_frames(4 * pixels + 5).unwrap();
         assert_eq!(part.span, (24_000_000, 52_000_000 + 9 * 20_000));
         assert_eq!(part.frame_count(), 4);
         assert_eq!((part.dn(0, 17), part.dn(3, 50)), (case.dn(3, 17), case.dn(6, 50)));

@@ -12,15 +12,15 @@ pub struct LogTracks {
     /// Size of the array.
     pub extent: Extent,
     /// When its pixels had events.
-    pub fired: Arc<Fired>,
+    pub fired: Arc<EventTimes>,
     offsets: Vec<usize>,
     t_ns: Vec<i64>,
     log: Vec<f32>,
 }
 
 impl LogTracks {
-    /// Of a band that holds all rows.
-    pub fn new(extent: Extent, band: TrackBand, fired: &Arc<Fired>) -> LogTracks {
+    /// From a band with all rows.
+    pub fn new(extent: Extent, band: TrackBand, fired: &Arc<EventTimes>) -> LogTracks {
         let offsets = band.offsets().to_vec();
         let log = band
             .photocurrent
@@ -30,14 +30,18 @@ impl LogTracks {
         LogTracks { extent, fired: fired.clone(), offsets, t_ns: band.t, log }
     }
 
-    /// Log light of a pixel at an instant; `None` where nothing is known.
+    /// Log light of a pixel at an instant; `None` where it is not known.
     pub fn at(&self, x: usize, y: usize, t_ns: i64) -> Option<f64> {
         let (t, log) = self.knots(y * self.extent.width as usize + x);
-        between(t, log, t.partition_point(|&knot| knot <= t_ns), t_ns)
+        log_between(t, log, t.partition_point(|&knot| knot <= t_ns), t_ns)
     }
 
     /// Log light of a pixel at instants in rising order.
-    fn each(&self, pixel: usize, instants: impl Iterator<Item = i64>) -> impl Iterator<Item = Option<f64>> {
+    fn log_at_instants(
+        &self,
+        pixel: usize,
+        instants: impl Iterator<Item = i64>,
+    ) -> impl Iterator<Item = Option<f64>> {
         let (t, log) = self.knots(pixel);
         let mut after = None;
         instants.map(move |t_ns| {
@@ -46,7 +50,7 @@ impl LogTracks {
                 now += 1;
             }
             after = Some(now);
-            between(t, log, now, t_ns)
+            log_between(t, log, now, t_ns)
         })
     }
 
@@ -57,20 +61,20 @@ impl LogTracks {
 }
 
 /// Log light at an instant; `after` is the number of the first knot behind it.
-fn between(t: &[i64], log: &[f32], after: usize, t_ns: i64) -> Option<f64> {
+fn log_between(t: &[i64], log: &[f32], after: usize, t_ns: i64) -> Option<f64> {
     time::between(t, after, t_ns, |k| f64::from(log[k]), |a, b, share| a + share * (b - a))
 }
 
-/// When the pixels had events.
-pub struct Fired {
+/// Times of the pixels' events.
+pub struct EventTimes {
     offsets: Vec<usize>,
     t_ns: Vec<i64>,
 }
 
-impl Fired {
+impl EventTimes {
     /// Of the pixels in order, each with rising instants.
-    pub fn new(pixels: impl Iterator<Item = Vec<i64>>) -> Fired {
-        let mut fired = Fired { offsets: vec![0], t_ns: Vec::new() };
+    pub fn new(pixels: impl Iterator<Item = Vec<i64>>) -> EventTimes {
+        let mut fired = EventTimes { offsets: vec![0], t_ns: Vec::new() };
         for pixel in pixels {
             fired.t_ns.extend(pixel);
             fired.offsets.push(fired.t_ns.len());
@@ -92,27 +96,27 @@ impl Fired {
 pub const STEP_NS: i64 = 500_000;
 
 /// Log light of all pixels at some of the steady instants of a recording.
-pub struct Film {
+pub struct LogFilm {
     /// The first picture's number, of all instants of the recording.
     pub first: usize,
     /// The pictures.
     pub pictures: Vec<Image>,
 }
 
-impl Film {
+impl LogFilm {
     /// Number of instants between two.
     pub fn count(span: (i64, i64)) -> usize {
         ((span.1 - span.0) / STEP_NS + 1) as usize
     }
 
-    /// Pictures of these numbers of tracks from an instant on. A pixel without a track counts as grey.
-    pub fn new(tracks: &LogTracks, start_ns: i64, numbers: Range<usize>) -> Film {
+    /// Pictures of the tracks at the steps `numbers` from `start_ns`. A pixel without a track counts as grey.
+    pub fn new(tracks: &LogTracks, start_ns: i64, numbers: Range<usize>) -> LogFilm {
         let (width, height) = (tracks.extent.width as usize, tracks.extent.height as usize);
         let row = |y: usize| -> Vec<f32> {
             let mut lines = vec![f32::NAN; numbers.len() * width];
             for x in 0..width {
                 let instants = numbers.clone().map(|n| start_ns + n as i64 * STEP_NS);
-                for (n, log) in tracks.each(y * width + x, instants).enumerate() {
+                for (n, log) in tracks.log_at_instants(y * width + x, instants).enumerate() {
                     lines[n * width + x] = log.map_or(f32::NAN, |log| log as f32);
                 }
             }
@@ -130,12 +134,12 @@ impl Film {
             picture.iter_mut().filter(|u| u.is_nan()).for_each(|u| *u = grey);
             Image { width, height, values: picture }
         };
-        Film { first: numbers.start, pictures: (0..numbers.len()).into_par_iter().map(picture).collect() }
+        LogFilm { first: numbers.start, pictures: (0..numbers.len()).into_par_iter().map(picture).collect() }
     }
 
     /// The film with every picture smoothed by a Gaussian of `sigma` pixels.
-    pub fn smoothed(&self, sigma: f64) -> Film {
+    pub fn smoothed(&self, sigma: f64) -> LogFilm {
         let pictures = self.pictures.par_iter().map(|picture| picture.smoothed_by(sigma)).collect();
-        Film { first: self.first, pictures }
+        LogFilm { first: self.first, pictures }
     }
 }

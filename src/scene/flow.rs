@@ -1,29 +1,26 @@
-//! Where things move: a field of velocities over the sensor and time, from a film of log light.
+//! Optical flow: a field of velocities over the sensor and time, from a film of log light.
 //!
-//! Pictures that stand symmetrically around an instant are moved towards each other until they agree (Lucas
-//! and Kanade 1981, by Gauss-Newton
-//! steps): first one affine motion of all pixels, robust against those that move otherwise, then a motion of
-//! every neighbourhood, in windows that
-//! shrink. A neighbourhood without contrast keeps the motion it has. Time distances grow as windows shrink,
-//! so that the field ends up
-//! precise to a small part of a pixel. At last every place may take the affine motion, or that of a place
-//! farther away, where it explains its smallest neighbourhood clearly better:
-//! around something small that passes, windows hold two motions. Where another motion explains a place nearly
-//! as well, that is known too ([`Flow::rival_at`]).
+//! Pictures symmetric around an instant are moved towards each other until they agree (Lucas and Kanade 1981,
+//! by Gauss-Newton steps): first with one affine motion of all pixels, robust against others, then with a
+//! motion of every neighbourhood, in windows that shrink. A neighbourhood without contrast keeps its motion.
+//! Time distances grow as windows shrink, so that the field becomes precise to a small part of a pixel. At
+//! last every place may take the affine motion, or that of a place farther away, where it explains its
+//! smallest neighbourhood clearly better: around a small object windows contain two motions. A second motion
+//! that explains a place nearly as well is kept as its rival ([`Flow::rival_at`]).
 //!
-//! A long recording is evaluated part after part, and only in active blocks ([`Activity`]); elsewhere the
-//! velocity is zero. Of a large sensor every
-//! second pixel of every second row is evaluated; the field is much smoother than that.
+//! A long recording is evaluated in parts, and only in active blocks ([`Activity`]); elsewhere the velocity
+//! is zero. Of a large sensor every second pixel of every second row is evaluated; the field is much smoother
+//! than that.
 //!
-//! Limits: motion that cannot be seen (along an edge, in a flat place) is the affine one or none; speeds over
-//! `fastest` are cut.
+//! Limits: motion that is not observable (along an edge, in a flat place) is the affine one or none; speeds
+//! over `fastest` are cut.
 
 mod params;
 
 pub use params::MotionParams;
 
 use crate::activity::Activity;
-use crate::film::{Film, LogTracks, STEP_NS};
+use crate::film::{LogFilm, LogTracks, STEP_NS};
 use crate::image::{Image, smooth};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -32,20 +29,20 @@ use std::ops::Range;
 const STRIDE: usize = 4;
 /// Instants of the field that are worked out together, at most.
 const TOGETHER: usize = 32;
-/// And so few that their pictures hold at most so many values.
+/// Most values of the pictures in memory.
 const TOGETHER_VALUES: usize = 60_000_000;
 /// Farthest picture from its instant that is compared.
 const REACH: usize = 6;
 /// Of a sensor of more pixels every second pixel of every second row is evaluated.
 const LARGE: usize = 20_000;
-/// The six numbers of the motion of all pixels are found from about so many places.
+/// Number of places from which the affine motion of all pixels is estimated.
 const OF_ALL: usize = 16_384;
-/// A step that is smaller changes nothing, pixels per picture.
+/// Smallest step, pixels per picture.
 const NO_STEP: f64 = 1e-4;
 
 /// Velocities in pixels per millisecond.
 pub struct Flow {
-    lattice: Lattice,
+    lattice: FlowLattice,
     start_ns: i64,
     step_ns: i64,
     /// One field per instant, as [line * columns + column].
@@ -57,7 +54,7 @@ pub struct Flow {
 
 /// The pixels at which the field is known.
 #[derive(Clone, Copy)]
-struct Lattice {
+struct FlowLattice {
     /// Pixels from one to the next.
     pitch: usize,
     columns: usize,
@@ -67,10 +64,10 @@ struct Lattice {
     height: usize,
 }
 
-impl Lattice {
-    fn new(width: usize, height: usize) -> Lattice {
+impl FlowLattice {
+    fn new(width: usize, height: usize) -> FlowLattice {
         let pitch = if width * height > LARGE { 2 } else { 1 };
-        Lattice { pitch, columns: width.div_ceil(pitch), lines: height.div_ceil(pitch), width, height }
+        FlowLattice { pitch, columns: width.div_ceil(pitch), lines: height.div_ceil(pitch), width, height }
     }
 
     fn len(&self) -> usize {
@@ -78,13 +75,13 @@ impl Lattice {
     }
 
     /// Instants of the field whose pictures are held at once.
-    fn together(&self) -> usize {
+    fn instants_at_once(&self) -> usize {
         let pictures = TOGETHER_VALUES / (self.width * self.height);
         (pictures.saturating_sub(2 * REACH + 1) / STRIDE + 1).clamp(1, TOGETHER)
     }
 
     /// Every so manyth of `places` is [`OF_ALL`] of them, spread over rows and columns.
-    fn every(&self, places: usize) -> usize {
+    fn place_stride(&self, places: usize) -> usize {
         let every = usize::max(places / OF_ALL, 1);
         // A divisor of the columns takes the same ones of every row.
         every + usize::from(every > 1 && self.columns.is_multiple_of(every))
@@ -99,40 +96,40 @@ impl Lattice {
 /// An affine field of velocities, pixels per picture: `v_x = p0 + p1 a + p2 b`, `v_y = p3 + p4 a + p5 b`,
 /// with (a, b) the place relative to
 /// the sensor's middle in half widths.
-type Affine = [f64; 6];
+type AffineFlow = [f64; 6];
 
 impl Flow {
-    /// Of tracks between two instants; with rivals on request.
-    pub fn of_tracks(
+    /// Estimates the flow of tracks between two instants, ns; with rivals on request.
+    pub fn estimate(
         tracks: &LogTracks,
         span: (i64, i64),
         activity: &Activity,
         how: (&MotionParams, bool),
     ) -> Flow {
         let size = (tracks.extent.width as usize, tracks.extent.height as usize);
-        Flow::new(size, (span.0, Film::count(span)), activity, how, |numbers| {
-            Film::new(tracks, span.0, numbers)
+        Flow::new(size, (span.0, LogFilm::count(span)), activity, how, |numbers| {
+            LogFilm::new(tracks, span.0, numbers)
         })
     }
 
-    /// From a film of so many pictures from an instant on, of which `film` gives those of any numbers.
+    /// From a film of `count` pictures; `film` returns those of a range of indices.
     pub fn new(
         (width, height): (usize, usize),
         (start_ns, count): (i64, usize),
         activity: &Activity,
         (params, with_rivals): (&MotionParams, bool),
-        film: impl Fn(Range<usize>) -> Film,
+        film: impl Fn(Range<usize>) -> LogFilm,
     ) -> Flow {
-        let lattice = Lattice::new(width, height);
+        let lattice = FlowLattice::new(width, height);
         let bins = count.div_ceil(STRIDE);
         let (mut fields, mut rivals) = (Vec::with_capacity(bins), Vec::with_capacity(bins));
-        let together = lattice.together();
+        let together = lattice.instants_at_once();
         for first in (0..bins).step_by(together) {
             let bins = first..usize::min(first + together, bins);
             let numbers = (bins.start * STRIDE).saturating_sub(REACH)
                 ..usize::min((bins.end - 1) * STRIDE + REACH + 1, count);
             let at_ns = |n: usize| start_ns + n as i64 * STEP_NS;
-            let places = activity.places(
+            let places = activity.active_places(
                 (at_ns(numbers.start), at_ns(numbers.end)),
                 (0..lattice.len()).map(|at| lattice.pixel(at)),
             );
@@ -142,7 +139,7 @@ impl Flow {
                 continue;
             }
             let film = film(numbers);
-            let estimator = Estimator {
+            let estimator = FlowEstimator {
                 lattice,
                 coarse: &film.smoothed(2.0),
                 fine: &film.smoothed(0.7),
@@ -169,13 +166,13 @@ impl Flow {
     /// The same velocity everywhere and always, pixels per millisecond, and another that explains everything
     /// as well.
     pub fn uniform((width, height): (usize, usize), velocity: [f32; 2], rival: [f32; 2]) -> Flow {
-        let lattice = Lattice::new(width, height);
+        let lattice = FlowLattice::new(width, height);
         let field = |velocity: [f32; 2]| vec![vec![velocity; lattice.len()]];
         Flow { lattice, start_ns: 0, step_ns: 1, fields: field(velocity), rivals: field(rival) }
     }
 
     /// The fields before and after an instant, and the share of the later one.
-    fn around(&self, t_ns: i64) -> (usize, usize, f64) {
+    fn bracketing_fields(&self, t_ns: i64) -> (usize, usize, f64) {
         let last = self.fields.len() - 1;
         let bin = ((t_ns - self.start_ns) as f64 / self.step_ns as f64).clamp(0.0, last as f64);
         let before = usize::min(bin as usize, last);
@@ -184,17 +181,17 @@ impl Flow {
 
     /// The velocity at a place and an instant; beyond the borders as at them.
     pub fn at(&self, x: f64, y: f64, t_ns: i64) -> [f64; 2] {
-        self.of(&self.fields, x, y, t_ns)
+        self.interpolate(&self.fields, x, y, t_ns)
     }
 
     /// A velocity that explains the place nearly as well, or the same; only of a flow with rivals.
     pub fn rival_at(&self, x: f64, y: f64, t_ns: i64) -> [f64; 2] {
-        self.of(&self.rivals, x, y, t_ns)
+        self.interpolate(&self.rivals, x, y, t_ns)
     }
 
-    fn of(&self, fields: &[Vec<[f32; 2]>], x: f64, y: f64, t_ns: i64) -> [f64; 2] {
-        let Lattice { pitch, columns, lines, .. } = self.lattice;
-        let (before, after, share) = self.around(t_ns);
+    fn interpolate(&self, fields: &[Vec<[f32; 2]>], x: f64, y: f64, t_ns: i64) -> [f64; 2] {
+        let FlowLattice { pitch, columns, lines, .. } = self.lattice;
+        let (before, after, share) = self.bracketing_fields(t_ns);
         let (i, dx) = whole_and_rest(x / pitch as f64, columns);
         let (j, dy) = whole_and_rest(y / pitch as f64, lines);
         let mut velocity = [0.0; 2];
@@ -219,11 +216,11 @@ fn whole_and_rest(at: f64, count: usize) -> (usize, f64) {
 }
 
 /// Pairs of pictures that are compared, as (middle, distance of each from it).
-struct Pairs<'a> {
-    film: &'a Film,
+struct PicturePairs<'a> {
+    film: &'a LogFilm,
     /// Pictures of the whole film.
     count: usize,
-    /// Squared differences of this size count half.
+    /// Squared difference with half the weight.
     robust: f64,
     middle: usize,
     /// How far the middles of pairs lie from the instant, pictures.
@@ -231,9 +228,9 @@ struct Pairs<'a> {
     distances: &'a [usize],
 }
 
-impl Pairs<'_> {
+impl PicturePairs<'_> {
     /// Calls with (earlier picture, later picture, time from the middle to each).
-    fn each(&self, mut with: impl FnMut(&Image, &Image, f64, f64)) {
+    fn for_each_pair(&self, mut with: impl FnMut(&Image, &Image, f64, f64)) {
         for &shift in self.shifts {
             for &distance in self.distances {
                 let (early, late) = (
@@ -265,10 +262,10 @@ impl Pairs<'_> {
 }
 
 /// Pictures in which motion is estimated, and where.
-struct Estimator<'a> {
-    lattice: Lattice,
-    coarse: &'a Film,
-    fine: &'a Film,
+struct FlowEstimator<'a> {
+    lattice: FlowLattice,
+    coarse: &'a LogFilm,
+    fine: &'a LogFilm,
     /// Pictures of the whole film.
     count: usize,
     /// Places of the lattice where something may move.
@@ -277,12 +274,12 @@ struct Estimator<'a> {
     with_rivals: bool,
 }
 
-impl Estimator<'_> {
+impl FlowEstimator<'_> {
     /// The field at picture `middle` and that of the rivals, pixels per picture.
     fn estimate(&self, middle: usize) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
-        let Estimator { lattice, coarse, fine, count, places, params, .. } = *self;
+        let FlowEstimator { lattice, coarse, fine, count, places, params, .. } = *self;
         let middle = middle.clamp(1, usize::max(count.saturating_sub(2), 1));
-        let pairs = |film, distances| Pairs {
+        let pairs = |film, distances| PicturePairs {
             film,
             count,
             robust: params.robust * params.robust,
@@ -305,17 +302,17 @@ impl Estimator<'_> {
         (field, rivals)
     }
 
-    /// Takes another motion where that explains a small neighbourhood clearly better: that of all pixels, or
-    /// one from farther away. Where something passes before something else,
-    /// windows hold both, and what they find is neither. Gives of those that explain it not clearly worse the
-    /// one that differs most.
-    fn choose(&self, pairs: &Pairs<'_>, field: &mut [[f64; 2]], affine: &Affine) -> Vec<[f64; 2]> {
-        let Lattice { pitch, columns, lines, .. } = self.lattice;
+    /// Replaces the motion of a place where another one explains a small neighbourhood clearly better: that
+    /// of all pixels, or one from farther away. Where an object passes before another, windows contain both,
+    /// and their estimate is neither. Returns, of the motions that are not clearly worse, the one that
+    /// differs most.
+    fn choose(&self, pairs: &PicturePairs<'_>, field: &mut [[f64; 2]], affine: &AffineFlow) -> Vec<[f64; 2]> {
+        let FlowLattice { pitch, columns, lines, .. } = self.lattice;
         let MotionParams { clear_gain, farther, neighbourhood, .. } = self.params;
         let left = 1.0 - *clear_gain as f32;
         let cost = |candidate: &[[f64; 2]]| -> Vec<f32> {
             let mut sums = vec![0.0_f32; columns * lines];
-            pairs.each(|early, late, t0, t1| {
+            pairs.for_each_pair(|early, late, t0, t1| {
                 for &at in self.places {
                     let (x, y) = self.lattice.pixel(at);
                     // Who leaves the sensor explains nothing.
@@ -380,14 +377,14 @@ impl Estimator<'_> {
     }
 
     /// Improves one affine motion of all places.
-    fn affine(&self, pairs: &Pairs<'_>, mut p: [f64; 6], steps: usize) -> [f64; 6] {
-        let Lattice { width, height, .. } = self.lattice;
-        let every = self.lattice.every(self.places.len());
+    fn affine(&self, pairs: &PicturePairs<'_>, mut p: [f64; 6], steps: usize) -> [f64; 6] {
+        let FlowLattice { width, height, .. } = self.lattice;
+        let every = self.lattice.place_stride(self.places.len());
         let places = || self.places.iter().step_by(every);
         for _step in 0..steps {
             let mut a = [[0.0; 6]; 6];
             let mut b = [0.0; 6];
-            pairs.each(|early, late, t0, t1| {
+            pairs.for_each_pair(|early, late, t0, t1| {
                 for &at in places() {
                     let (x, y) = self.lattice.pixel(at);
                     let v = self.velocity_of(&p, x, y);
@@ -425,11 +422,11 @@ impl Estimator<'_> {
     }
 
     /// Improves the motion of every neighbourhood of `sigma` pixels.
-    fn local(&self, pairs: &Pairs<'_>, field: &mut [[f64; 2]], sigma: f64, steps: usize) {
-        let Lattice { pitch, columns, lines, .. } = self.lattice;
+    fn local(&self, pairs: &PicturePairs<'_>, field: &mut [[f64; 2]], sigma: f64, steps: usize) {
+        let FlowLattice { pitch, columns, lines, .. } = self.lattice;
         for _step in 0..steps {
             let mut sums: [Vec<f32>; 5] = std::array::from_fn(|_| vec![0.0; columns * lines]);
-            pairs.each(|early, late, t0, t1| {
+            pairs.for_each_pair(|early, late, t0, t1| {
                 for &at in self.places {
                     let (x, y) = self.lattice.pixel(at);
                     let Some((e, gx, gy)) =
@@ -451,7 +448,7 @@ impl Estimator<'_> {
                 let determinant = xx * yy - xy * xy;
                 let step = [-(yy * xe - xy * ye) / determinant, -(xx * ye - xy * xe) / determinant];
                 let v = &mut field[at];
-                *v = self.cut([v[0] + step[0].clamp(-0.5, 0.5), v[1] + step[1].clamp(-0.5, 0.5)]);
+                *v = self.limit_speed([v[0] + step[0].clamp(-0.5, 0.5), v[1] + step[1].clamp(-0.5, 0.5)]);
                 most = f64::max(most, f64::max(step[0].abs(), step[1].abs()));
             }
             if most < NO_STEP {
@@ -460,13 +457,13 @@ impl Estimator<'_> {
         }
     }
 
-    fn velocity_of(&self, p: &Affine, x: usize, y: usize) -> [f64; 2] {
+    fn velocity_of(&self, p: &AffineFlow, x: usize, y: usize) -> [f64; 2] {
         let (a, b) = centred(self.lattice.width, self.lattice.height, x, y);
-        self.cut([p[0] + p[1] * a + p[2] * b, p[3] + p[4] * a + p[5] * b])
+        self.limit_speed([p[0] + p[1] * a + p[2] * b, p[3] + p[4] * a + p[5] * b])
     }
 
     /// A velocity, pixels per picture, that is not too fast.
-    fn cut(&self, v: [f64; 2]) -> [f64; 2] {
+    fn limit_speed(&self, v: [f64; 2]) -> [f64; 2] {
         let fastest = self.params.fastest * STEP_NS as f64 * 1e-6;
         let speed = (v[0] * v[0] + v[1] * v[1]).sqrt();
         let share = if speed > fastest { fastest / speed } else { 1.0 };

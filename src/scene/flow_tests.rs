@@ -19,7 +19,7 @@ fn the_motion_of_a_sliding_texture_is_found() {
         height: 16,
         values: (0..384).map(|p| texture(p % 24, p / 24, 0.5 * n as f64) as f32).collect(),
     };
-    let film = |numbers: std::ops::Range<usize>| Film {
+    let film = |numbers: std::ops::Range<usize>| LogFilm {
         first: numbers.start,
         pictures: numbers.map(picture).collect(),
     };
@@ -49,7 +49,7 @@ fn what_passes_before_a_ground_leaves_its_motion_alone() {
     let values =
         |n: usize| (0..width * height).map(|p| log(p % width, p / width, 0.5 * n as f64) as f32).collect();
     let picture = |n: usize| Image { width, height, values: values(n) };
-    let film = |numbers: std::ops::Range<usize>| Film {
+    let film = |numbers: std::ops::Range<usize>| LogFilm {
         first: numbers.start,
         pictures: numbers.map(picture).collect(),
     };

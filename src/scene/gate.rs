@@ -1,14 +1,14 @@
-//! Which events count: those around which the scene predicts the frames.
+//! Selects the events around which the scene predicts the frames.
 
 use crate::case::Case;
 
 /// A place is predicted where frames miss by less than this, DN.
 pub const LEAST_DN: f64 = 1.0;
-/// Or by so many median absolute deviations.
+/// The same limit in median absolute deviations.
 pub const SPREAD: f64 = 4.5;
 
-/// Which places of which frames the scene predicts.
-pub struct Gate {
+/// Mask of the places and frames that the scene predicts.
+pub struct PredictionGate {
     /// Empty: all of them.
     good: Vec<bool>,
     middle_ns: Vec<Vec<i64>>,
@@ -16,24 +16,28 @@ pub struct Gate {
     pixels: usize,
 }
 
-impl Gate {
-    /// Every event counts.
-    pub fn open() -> Gate {
-        Gate { good: Vec::new(), middle_ns: Vec::new(), width: 1, pixels: 1 }
+impl PredictionGate {
+    /// Accepts every event.
+    pub fn accept_all() -> PredictionGate {
+        PredictionGate { good: Vec::new(), middle_ns: Vec::new(), width: 1, pixels: 1 }
     }
 
-    /// From residuals of frames as [frame][y][x], DN (NaN = took no part): a place is predicted where none of
-    /// its 3 x 3 neighbourhood misses by more than `least_dn` and
-    /// `spread` median absolute deviations. Noise has no structure: where residuals of neighbours are alike,
-    /// deviations are those of their differences, or what `structure_dn` allows, and
-    /// the mean of the neighbourhood misses by no more than a third of them.
-    pub fn new(case: &Case, residual: &[f32], (least_dn, structure_dn): (f64, f64), spread: f64) -> Gate {
+    /// From residuals of frames as [frame][y][x], DN (NaN = not evaluated). A place is predicted where no
+    /// residual of its 3 x 3 neighbourhood exceeds `least_dn` and `spread` median absolute deviations. Noise
+    /// has no structure. Where residuals of neighbours are alike, deviations are those of their differences,
+    /// or what `structure_dn` allows, and the mean of the neighbourhood is at most a third of them.
+    pub fn new(
+        case: &Case,
+        residual: &[f32],
+        (least_dn, structure_dn): (f64, f64),
+        spread: f64,
+    ) -> PredictionGate {
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
         let pixels = width * height;
-        let all = spread * middle(residual.iter().copied());
+        let all = spread * finite_median(residual.iter().copied());
         let rows = residual.chunks_exact(width);
         let white = spread
-            * middle(rows.flat_map(|row| row.windows(2).map(|pair| pair[1] - pair[0])))
+            * finite_median(rows.flat_map(|row| row.windows(2).map(|pair| pair[1] - pair[0])))
             * std::f64::consts::FRAC_1_SQRT_2;
         let allowed = |white: f64| f64::max(least_dn, f64::min(all, f64::max(white, structure_dn))) as f32;
         let (most, most_mean) = (allowed(white), allowed(white / 3.0));
@@ -63,11 +67,11 @@ impl Gate {
                     .collect()
             })
             .collect();
-        Gate { good, middle_ns, width, pixels }
+        PredictionGate { good, middle_ns, width, pixels }
     }
 
-    /// Does an event of a pixel at an instant count? Both frames around it must be predicted there.
-    pub fn keeps(&self, pixel: usize, t_ns: i64) -> bool {
+    /// Is an event of a pixel at an instant, ns, accepted? Both frames around it must be predicted there.
+    pub fn accepts(&self, pixel: usize, t_ns: i64) -> bool {
         if self.good.is_empty() {
             return true;
         }
@@ -79,7 +83,7 @@ impl Gate {
 }
 
 /// Median of sizes, those that are not finite left out; 0 of none.
-fn middle(values: impl Iterator<Item = f32>) -> f64 {
+fn finite_median(values: impl Iterator<Item = f32>) -> f64 {
     let mut sizes: Vec<f32> = values.filter(|r| r.is_finite()).map(f32::abs).collect();
     let at = sizes.len() / 2;
     if sizes.is_empty() { 0.0 } else { f64::from(*sizes.select_nth_unstable_by(at, f32::total_cmp).1) }
@@ -98,7 +102,7 @@ mod tests {
         let mut random = Random::new(5, &[]);
         let mut residual: Vec<f32> =
             (0..case.frame_count() * 432).map(|_| (5.0 * random.normal()) as f32).collect();
-        let share = |gate: &Gate, at: &dyn Fn(usize) -> bool| {
+        let share = |gate: &PredictionGate, at: &dyn Fn(usize) -> bool| {
             let of: Vec<bool> =
                 gate.good.iter().enumerate().filter(|(k, _)| at(*k)).map(|(_, good)| *good).collect();
             of.iter().filter(|good| **good).count() as f64 / of.len() as f64
@@ -106,17 +110,20 @@ mod tests {
         // Nine normal values all within 4.5 median absolute deviations: 0.9976 to the ninth power, and their
         // mean.
         let everywhere = |_: usize| true;
-        assert!(share(&Gate::new(&case, &residual, (1.0, 0.0), 4.5), &everywhere) > 0.94);
+        assert!(share(&PredictionGate::new(&case, &residual, (1.0, 0.0), 4.5), &everywhere) > 0.94);
         // Half of the array misses by twice the noise: the median of all is then larger, but differences of
         // neighbours show it.
         let left = |k: usize| k % 24 < 11;
         residual.iter_mut().enumerate().filter(|(k, _)| k % 24 < 12).for_each(|(_, r)| *r += 10.0);
-        let gate = Gate::new(&case, &residual, (1.0, 0.0), 4.5);
+        let gate = PredictionGate::new(&case, &residual, (1.0, 0.0), 4.5);
         assert!(share(&gate, &left) < 0.05, "{}", share(&gate, &left));
         assert!(share(&gate, &|k| k % 24 > 13) > 0.9);
-        assert!(share(&Gate::new(&case, &residual, (1.0, 30.0), 4.5), &left) > 0.9, "what is allowed counts");
+        assert!(
+            share(&PredictionGate::new(&case, &residual, (1.0, 30.0), 4.5), &left) > 0.9,
+            "what is allowed counts"
+        );
         residual[30] = f32::NAN;
-        let gate = Gate::new(&case, &residual, (1.0, 30.0), 4.5);
+        let gate = PredictionGate::new(&case, &residual, (1.0, 30.0), 4.5);
         assert!(!gate.good[30] && !gate.good[5], "where the scene does not reach nothing is predicted");
     }
 }

@@ -1,13 +1,12 @@
-//! Frames as the event pixels receive them: one grey value for each pixel of the events.
+//! Grey frames for the event path: one value for each event pixel.
 //!
-//! Frames may have three values a pixel, or a whole number of pixels along the side of each event pixel: a
-//! photodiode without a filter receives the light of all of them, so their values are averaged by what it
-//! receives of each colour (`optics.event_weights`, alike where nothing is stated), over the channels' gains.
-//! Behind a mosaic of filters at the events' own pixels, events have the colour of their pixel as well, so
-//! each value stays as it is; neighbours then measure other light ([`Grey::is_behind_filters`]).
+//! Frames may have three values per pixel, or several pixels along the side of each event pixel. A photodiode
+//! without a filter receives the light of all of them. So their values are averaged by its sensitivity to
+//! each colour (`optics.event_weights`, equal where nothing is stated), over the channels' gains. Behind a
+//! mosaic of filters at the events' own pixels, events have the colour of their pixel as well, so each value
+//! stays as it is; neighbours then measure other light ([`GreyFrames::is_behind_filters`]).
 //!
-//! Limit: a mean of values of which one is saturated is not known, or is that of the clipped values
-//! ([`Clipped`]).
+//! Limit: a mean with a saturated value is unknown, or is that of the clipped values ([`SaturatedMean`]).
 
 use photocurrent_core::{
     Colour, DataError, Exposure, Extent, FrameBlock, FrameSequence, FrameTimes, FramesMeta, Sensor, Timestamp,
@@ -15,9 +14,9 @@ use photocurrent_core::{
 use photocurrent_sensor::pooling::block_weights;
 use std::sync::Arc;
 
-/// What a mean is of which a value is saturated.
+/// Treatment of a mean with a saturated value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Clipped {
+pub enum SaturatedMean {
     /// Not known: for whoever measures.
     Unknown,
     /// The mean of the values as they are, saturated where all are: for whoever renders.
@@ -26,26 +25,26 @@ pub enum Clipped {
 
 /// How frames become one grey value for each event pixel.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Grey {
+pub struct GreyFrames {
     extent: Extent,
     /// Frame pixels along the side of an event pixel.
     pub ratio: u32,
     /// Colours of the frames.
     pub colour: Colour,
-    /// What an event pixel receives of each of its values, for each column and row of event pixels within a
-    /// cell of the mosaic.
+    /// Weights of an event pixel's values, for each column and row of event pixels within a cell of the
+    /// mosaic.
     weights: Vec<Vec<f64>>,
     gains: [f64; 3],
     black: f64,
     full: f64,
 }
 
-impl Grey {
+impl GreyFrames {
     /// Of frames next to events of `extent` pixels.
     ///
     /// # Errors
     /// When the frames' extent is no whole multiple of the events', or weights or gains are not positive.
-    pub fn new(extent: Extent, frames: &FramesMeta, sensor: &Sensor) -> Result<Grey, DataError> {
+    pub fn new(extent: Extent, frames: &FramesMeta, sensor: &Sensor) -> Result<GreyFrames, DataError> {
         let ratio = frames.extent.multiple_of(extent).ok_or_else(|| {
             let (found, times) = (frames.extent, "or a whole number of times as many");
             DataError::new(format!(
@@ -78,10 +77,10 @@ impl Grey {
         let weights = (0..cell * cell)
             .map(|at| block_weights(frames.colour, ratio, (at % cell, at / cell), seen))
             .collect();
-        Ok(Grey { extent, ratio, colour: frames.colour, weights, gains, black, full })
+        Ok(GreyFrames { extent, ratio, colour: frames.colour, weights, gains, black, full })
     }
 
-    /// Are frames what a diagnosis takes already?
+    /// Do the frames already have one grey value per event pixel?
     pub fn is_plain(&self) -> bool {
         self.ratio == 1 && self.colour == Colour::Mono
     }
@@ -110,8 +109,8 @@ impl Grey {
         (self.ratio * self.ratio * self.colour.channels()) as usize
     }
 
-    /// Where value `n` of those on event pixel (x, y) stands: its number in its row, and the row.
-    pub fn place(&self, n: usize, (x, y): (u32, u32)) -> (u32, u32) {
+    /// Position of value `n` of event pixel (x, y): its index in its row, and the row.
+    pub fn value_place(&self, n: usize, (x, y): (u32, u32)) -> (u32, u32) {
         let side = self.ratio * self.colour.channels();
         (x * side + n as u32 % side, y * self.ratio + n as u32 / side)
     }
@@ -121,8 +120,7 @@ impl Grey {
         self.colour.channel(value, row).map_or(1.0, |channel| self.gains[channel])
     }
 
-    /// What event pixel (x, y) receives of each of its values: positive or zero, 1 in all
-    /// ([`block_weights`]).
+    /// Weights of the values of event pixel (x, y): positive or zero, sum 1 ([`block_weights`]).
     pub fn weights(&self, (x, y): (u32, u32)) -> &[f64] {
         let cell = self.colour.cell();
         &self.weights[(y % cell * cell + x % cell) as usize]
@@ -138,7 +136,7 @@ impl Grey {
         dn - self.black
     }
 
-    /// The DN of light that is so many DN above black in a channel without gain.
+    /// DN of light, given in DN above black of a channel with gain 1.
     pub fn dn(&self, light: f64, value: u32, row: u32) -> f64 {
         self.black + light * self.gain(value, row)
     }
@@ -147,7 +145,7 @@ impl Grey {
     ///
     /// # Errors
     /// When the frames cannot be read.
-    pub fn read(&self, frames: &FrameSequence, clipped: Clipped) -> Result<Vec<f32>, DataError> {
+    pub fn read(&self, frames: &FrameSequence, clipped: SaturatedMean) -> Result<Vec<f32>, DataError> {
         let rows = frames.meta.extent.rows();
         if self.is_plain() {
             return Ok(frames.read_rows(rows)?.dn);
@@ -158,14 +156,14 @@ impl Grey {
             let block = frames.read(l..l + 1, rows)?;
             let values = block.frame(l);
             (0..self.extent.height).for_each(|y| {
-                let of = |x: u32| self.of_pixel(values, block.row_values, (x, y), clipped);
+                let of = |x: u32| self.pixel_mean(values, block.row_values, (x, y), clipped);
                 all.extend((0..self.extent.width).map(of))
             });
         }
         Ok(all)
     }
 
-    /// What is known of the grey frames of these.
+    /// Metadata of the grey frames.
     pub fn meta(&self, frames: &FramesMeta) -> FramesMeta {
         let times = self.times(&frames.times);
         FramesMeta { extent: self.extent, colour: Colour::Mono, times, scale: frames.scale }
@@ -175,21 +173,27 @@ impl Grey {
     ///
     /// # Errors
     /// When the frames cannot be read.
-    pub fn frames(&self, frames: &FrameSequence, clipped: Clipped) -> Result<FrameSequence, DataError> {
+    pub fn frames(&self, frames: &FrameSequence, clipped: SaturatedMean) -> Result<FrameSequence, DataError> {
         let (meta, rows) = (self.meta(&frames.meta), self.extent.rows());
         let (row_values, dn) = (meta.row_values(), self.read(frames, clipped)?);
         let block = FrameBlock { frames: 0..frames.len(), rows, row_values, dn };
         Ok(FrameSequence::in_memory(Arc::new(meta), block))
     }
 
-    fn of_pixel(&self, values: &[f32], row_values: usize, place: (u32, u32), clipped: Clipped) -> f32 {
+    fn pixel_mean(
+        &self,
+        values: &[f32],
+        row_values: usize,
+        place: (u32, u32),
+        clipped: SaturatedMean,
+    ) -> f32 {
         let mut sum = 0.0;
         for (n, of) in self.weights(place).iter().enumerate() {
-            let (value, row) = self.place(n, place);
+            let (value, row) = self.value_place(n, place);
             let dn = f64::from(values[row as usize * row_values + value as usize]);
             sum += match clipped {
                 _ if self.values() == 1 && dn >= self.full => dn,
-                Clipped::Unknown if dn >= self.full => f64::NAN,
+                SaturatedMean::Unknown if dn >= self.full => f64::NAN,
                 _ => of * (self.black + self.light(dn, value, row)),
             };
         }
@@ -215,7 +219,7 @@ mod tests {
     }
 
     fn grey(frames: &FrameSequence, sensor: &Sensor) -> Vec<f32> {
-        Grey::new(EXTENT, &frames.meta, sensor).unwrap().read(frames, Clipped::Unknown).unwrap()
+        GreyFrames::new(EXTENT, &frames.meta, sensor).unwrap().read(frames, SaturatedMean::Unknown).unwrap()
     }
 
     #[test]
@@ -231,7 +235,8 @@ mod tests {
         assert_eq!(grey(&rgb, &sensor)[0], 50.0);
         sensor.frames.saturation_dn = Some(80.0);
         assert!(grey(&rgb, &sensor)[0].is_nan());
-        let clipped = Grey::new(EXTENT, &rgb.meta, &sensor).unwrap().read(&rgb, Clipped::Mean).unwrap();
+        let clipped =
+            GreyFrames::new(EXTENT, &rgb.meta, &sensor).unwrap().read(&rgb, SaturatedMean::Mean).unwrap();
         assert_eq!(clipped[0], 50.0, "blue is clipped, and counts as it is");
     }
 
@@ -240,7 +245,7 @@ mod tests {
         let sensor = Sensor::unknown("");
         let finer = frames(2, "mono", &[1.0, 2.0, 10.0, 20.0, 3.0, 4.0, 30.0, 40.0]);
         assert_eq!(grey(&finer, &sensor), [2.5, 25.0]);
-        let of = |frames: &FrameSequence| Grey::new(EXTENT, &frames.meta, &sensor).unwrap();
+        let of = |frames: &FrameSequence| GreyFrames::new(EXTENT, &frames.meta, &sensor).unwrap();
         let mut seen = sensor.clone();
         seen.optics.event_weights = Some([0.0, 1.0, 0.0]);
         let bayer = frames(2, "bayer_rggb", &[1.0, 2.0, 10.0, 20.0, 3.0, 4.0, 30.0, 40.0]);
@@ -254,14 +259,16 @@ mod tests {
         );
         assert!(of(&frames(1, "mono", &[1.0, 2.0])).is_plain() && !of(&mosaic).is_plain());
         let other = FramesMeta { extent: Extent { width: 3, height: 1 }, ..(*finer.meta).clone() };
-        assert!(Grey::new(EXTENT, &other, &sensor).unwrap_err().message.contains("whole number of times"));
+        assert!(
+            GreyFrames::new(EXTENT, &other, &sensor).unwrap_err().message.contains("whole number of times")
+        );
     }
 
     #[test]
     fn a_row_of_events_is_exposed_as_the_middle_of_its_frame_rows() {
         let frames = frames(2, "mono", &[0.0; 8]);
         let times = FrameTimes { row_time_ns: 10, ..frames.meta.times.clone() };
-        let own = Grey::new(EXTENT, &frames.meta, &Sensor::unknown("")).unwrap().times(&times);
+        let own = GreyFrames::new(EXTENT, &frames.meta, &Sensor::unknown("")).unwrap().times(&times);
         let middle = (times.exposure(0, 2).start.0 + times.exposure(0, 3).start.0) / 2;
         assert_eq!((own.exposure(0, 1).start.0, own.row_time_ns), (middle, 20));
     }

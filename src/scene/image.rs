@@ -19,7 +19,7 @@ impl Image {
         if !(x >= 0.0 && y >= 0.0 && x <= (width - 1) as f64 && y <= (height - 1) as f64) {
             return None;
         }
-        let ((i, dx), (j, dy)) = (between(x, width), between(y, height));
+        let ((i, dx), (j, dy)) = (bracketing_index(x, width), bracketing_index(y, height));
         // One row or column alone has no next one.
         let (right, below) = (usize::from(width > 1), if height > 1 { width } else { 0 });
         let v = |at: usize| f64::from(self.values[at]);
@@ -78,10 +78,10 @@ impl Image {
     }
 }
 
-/// The first of the two of `count` places that one lies between, and how far behind it: also of a place
-/// beyond them, which goes on as at the border.
+/// The index of the first of the two samples around a place, and the distance behind it. Beyond the border
+/// the place is extrapolated.
 #[inline]
-pub(crate) fn between(at: f64, count: usize) -> (usize, f64) {
+pub(crate) fn bracketing_index(at: f64, count: usize) -> (usize, f64) {
     let first = usize::min(at.max(0.0) as usize, count.saturating_sub(2));
     (first, at - first as f64)
 }

@@ -1,19 +1,18 @@
 //! Light that is known without the recording's frames, as a scene.
 
 use crate::case::Case;
-use crate::light::{Knots, Light};
+use crate::light::{LightKnots, LogLight};
 use crate::nominal::Nominal;
 use crate::picture::FRAME_NOISE;
-use crate::scene::{Scene, Tolerance};
+use crate::scene::{FrameTolerance, Scene};
 use crate::statistics::{MEDIAN_NORMAL, median};
 use photocurrent_sensor::conditional::at;
 use photocurrent_sensor::elementary::ln;
 use std::sync::Arc;
 
-/// Light that is known from elsewhere: a target whose motion the user states, a simulated scene, given
-/// tracks.
+/// Light from another source: a target whose motion the user states, a simulated scene, known tracks.
 pub struct KnownLight {
-    light: Arc<[Knots]>,
+    light: Arc<[LightKnots]>,
     residual: Vec<f32>,
     misfit: f64,
 }
@@ -23,7 +22,7 @@ const BIN: usize = 64;
 
 impl KnownLight {
     /// Of a recording; `light` has all its pixels.
-    pub fn new(case: &Case, nominal: &Nominal, light: Arc<[Knots]>) -> KnownLight {
+    pub fn new(case: &Case, nominal: &Nominal, light: Arc<[LightKnots]>) -> KnownLight {
         let mut known = KnownLight { light, residual: Vec::new(), misfit: 1.0 };
         known.compare(case, nominal);
         known
@@ -68,7 +67,7 @@ impl Scene for KnownLight {
     }
 
     fn log_light(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
-        let instants: Vec<i64> = Light::instants(case, step_ns).collect();
+        let instants: Vec<i64> = LogLight::instants(case, step_ns).collect();
         let of = |&pixel: &usize| -> Vec<f32> {
             let (t, photocurrent) = &self.light[pixel];
             if t.is_empty() {
@@ -82,7 +81,7 @@ impl Scene for KnownLight {
         pixels.iter().map(of).collect()
     }
 
-    fn tolerance(&self) -> Option<Tolerance> {
+    fn tolerance(&self) -> Option<FrameTolerance> {
         None
     }
 
@@ -94,7 +93,7 @@ impl Scene for KnownLight {
         self.misfit * nominal.frame_sigma_dn(signal, FRAME_NOISE)
     }
 
-    fn place(&self, _case: &Case, pixel: usize, _t_ns: i64) -> (u32, f64, f64) {
+    fn part_and_place(&self, _case: &Case, pixel: usize, _t_ns: i64) -> (u32, f64, f64) {
         (pixel as u32, 0.0, 0.0)
     }
 

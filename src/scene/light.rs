@@ -6,11 +6,11 @@ use photocurrent_sensor::conditional::Track;
 use rayon::prelude::*;
 
 /// The light of a pixel: instants, ns, and photocurrent, linear between; empty where it is not known.
-pub type Knots = (Vec<i64>, Vec<f64>);
+pub type LightKnots = (Vec<i64>, Vec<f64>);
 
 /// Log photocurrent of an array at steady instants, natural-log units.
 #[derive(Clone, Debug)]
-pub struct Light {
+pub struct LogLight {
     /// The first instant, ns.
     pub start_ns: i64,
     /// Time between instants, ns.
@@ -21,18 +21,18 @@ pub struct Light {
     pub log: Vec<Vec<f32>>,
 }
 
-impl Light {
+impl LogLight {
     /// Instants over a recording, every `step_ns`, with no pixel's light known.
     ///
     /// # Panics
     /// When `step_ns` is not positive.
-    pub fn blank(case: &Case, step_ns: i64) -> Light {
+    pub fn blank(case: &Case, step_ns: i64) -> LogLight {
         assert!(step_ns > 0, "steps of light are positive");
-        let count = Light::instants(case, step_ns).count();
-        Light { start_ns: case.span.0, step_ns, count, log: vec![Vec::new(); case.extent.pixels()] }
+        let count = LogLight::instants(case, step_ns).count();
+        LogLight { start_ns: case.span.0, step_ns, count, log: vec![Vec::new(); case.extent.pixels()] }
     }
 
-    /// The instants of [`Light::blank`], ns.
+    /// The instants of [`LogLight::blank`], ns.
     pub fn instants(case: &Case, step_ns: i64) -> impl Iterator<Item = i64> {
         let (start, end) = case.span;
         (0..(end - start) / step_ns + 2).map(move |k| start + k * step_ns)
@@ -45,11 +45,10 @@ impl Light {
 
     /// Log photocurrent of a pixel at any instant, by straight lines; none where it is not known.
     pub fn at(&self, pixel: usize, t_ns: i64) -> Option<f64> {
-        between(self.log.get(pixel)?, (self.start_ns, self.step_ns), t_ns)
+        log_between(self.log.get(pixel)?, (self.start_ns, self.step_ns), t_ns)
     }
 
-    /// The frames that it gives, without noise and without saturation, DN as [frame][y][x]; NaN where it is
-    /// not known.
+    /// Frames of this light, without noise and saturation, DN as [frame][y][x]; NaN where it is not known.
     pub fn frames(&self, case: &Case, nominal: &Nominal) -> Vec<f32> {
         let (pixels, count) = (case.extent.pixels(), case.frame_count());
         let instants: Vec<i64> = (0..self.count).map(|k| self.instant(k)).collect();
@@ -60,7 +59,7 @@ impl Light {
                 return vec![f32::NAN; count];
             };
             let track = Track::new(&instants, &log, self.step_ns);
-            let row = case.place(pixel).1;
+            let row = case.pixel_place(pixel).1;
             (0..count).map(|l| nominal.number.of(track.collected_in(times.exposure(l, row))) as f32).collect()
         };
         let found: Vec<Vec<f32>> = (0..pixels).into_par_iter().map(of).collect();
@@ -70,7 +69,7 @@ impl Light {
 
 /// Log photocurrent of one pixel, known at steady instants, at any instant; none where it is not known. No
 /// search, unlike [`photocurrent_core::time::between`].
-pub fn between(log: &[f32], (start_ns, step_ns): (i64, i64), t_ns: i64) -> Option<f64> {
+pub fn log_between(log: &[f32], (start_ns, step_ns): (i64, i64), t_ns: i64) -> Option<f64> {
     let last = log.len().checked_sub(1)?;
     let place = ((t_ns - start_ns) as f64 / step_ns as f64).clamp(0.0, last as f64);
     let k = (place as usize).min(last.saturating_sub(1));
@@ -88,7 +87,7 @@ mod tests {
     fn frames_are_integrals_of_the_light() {
         let case = testing::texture(Extent { width: 8, height: 8 }, 6);
         let nominal = case.nominal().unwrap();
-        let mut light = Light::blank(&case, 100_000);
+        let mut light = LogLight::blank(&case, 100_000);
         // ln i = 4 + 9 (t - start), t in seconds, in every pixel but the first.
         let ramp: Vec<f32> = (0..light.count)
             .map(|k| (4.0 + 9.0 * (light.instant(k) - light.start_ns) as f64 * 1e-9) as f32)

@@ -1,28 +1,28 @@
-//! How far an alignment misses: events against the change of the frames, to a fraction of a pixel.
+//! Estimates the error of an alignment from events and the change of the frames, to a fraction of a pixel.
 //!
 //! From one frame to the next, the signed events of an event pixel count the change of the frames' logarithm
 //! at its place, over the threshold. With counts e of pixel p, the frames' change C and the rate of its
 //! events e', the residual is
 //!
-//!   r = e + (late + later / light) e' - g C(place(p) + shift(p)),
+//! r = e + (late + later / light) e' - g C(place(p) + shift(p)),
 //!
-//! where g is the inverse of the threshold, one for rising and one for falling light. `late` is how much
-//! later than assumed events are, and estimated as well: light that moves one way leaves the two open, and
+//! where g is the inverse of the threshold, one for rising and one for falling light. `late` is the delay of
+//! the events, which is estimated as well. Light that moves in one direction leaves shift and delay open, and
 //! the interval shows that. The shift is constant or affine over the array; Gauss-Newton steps with Huber's
 //! weights, from the best of whole pixels.
 //!
-//! A dim pixel is later than a bright one, which looks like a shift along the motion: a part of the lateness
-//! goes with the inverse of the light.
+//! A dim pixel is later than a bright one, which looks like a shift along the motion: a part of the delay is
+//! inverse to the light.
 //!
 //! Limits: shifts of up to three pixels; frames are compared in the middle of their exposures, blur smooths
-//! their change; what is at another distance than the rest (parallax) is not one of the forms.
+//! their change; objects at another distance than the rest (parallax) are not one of the forms.
 
 use crate::image::Image;
 use nalgebra::{SMatrix, SVector};
 use photocurrent_sensor::estimate::{Estimate, by_draws};
 use rayon::prelude::*;
 
-/// Parts of the array along either side: units that errors are drawn over.
+/// Parts of the array along either side: units of the bootstrap of errors.
 pub const PARTS: usize = 8;
 /// Unknowns: two gains, how late, how much later in dim light, the shift, its change along columns and along
 /// rows.
@@ -31,22 +31,22 @@ const MOST: usize = 10;
 const SHIFT: usize = 4;
 /// Whole pixels that are tried to either side.
 const WHOLE: i32 = 3;
-/// Steps, at most, and what ends them, pixels.
+/// Most steps, and the change, pixels, that ends them.
 const STEPS: usize = 25;
 const ENOUGH: f64 = 1e-3;
 /// A step's longest shift, pixels.
 const LONGEST: f64 = 0.5;
 /// Huber's limit, in robust standard deviations.
 const HUBER: f64 = 1.5;
-/// Fewer samples decide nothing.
+/// Least number of samples.
 const FEWEST: usize = 500;
 
-type Unknowns = SVector<f64, MOST>;
-type Normal = SMatrix<f64, MOST, MOST>;
+type ShiftUnknowns = SVector<f64, MOST>;
+type ShiftNormal = SMatrix<f64, MOST, MOST>;
 
 /// One event pixel between two frames.
 #[derive(Clone, Copy, Debug)]
-pub struct Sample {
+pub struct ShiftSample {
     /// Which pair of frames.
     pub pair: u32,
     /// Part of the array, below [`PARTS`] squared.
@@ -65,14 +65,14 @@ pub struct Sample {
 
 /// How a shift varies over the array.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Form {
+pub enum ShiftForm {
     /// One for the array.
     Constant,
     /// One that changes along columns and rows.
     Affine,
 }
 
-/// A shift and how sure it is.
+/// A shift and its uncertainty.
 #[derive(Clone, Debug)]
 pub struct Misalignment {
     /// Shift of the places in the middle of the array, pixels of the frames, with 95 % intervals.
@@ -82,7 +82,7 @@ pub struct Misalignment {
     /// How much later events are, in periods, and how much later still in usual light (as much more as it is
     /// dimmer).
     pub late: [Estimate; 2],
-    /// What is left of the changes, over what no shift leaves.
+    /// Squared residual of the changes, over that without a shift.
     pub left: f64,
 }
 
@@ -94,58 +94,58 @@ impl Misalignment {
     }
 }
 
-/// Changes of the frames and what events count of them.
-pub struct Compared<'a> {
+/// Changes of the frames and the events' counts.
+pub struct ChangesAndEvents<'a> {
     /// Log change from one frame to the next, one picture a pair, smoothed as the counts are.
     pub changes: &'a [Image],
     /// Pixels of the event array between them.
-    pub samples: &'a [Sample],
+    pub samples: &'a [ShiftSample],
 }
 
 /// Sums of one part of the array.
 #[derive(Clone)]
-struct Sums {
-    normal: Normal,
-    right: Unknowns,
+struct PartSums {
+    normal: ShiftNormal,
+    right: ShiftUnknowns,
     cost: f64,
 }
 
-impl Sums {
-    fn none() -> Sums {
-        Sums { normal: Normal::zeros(), right: Unknowns::zeros(), cost: 0.0 }
+impl PartSums {
+    fn empty() -> PartSums {
+        PartSums { normal: ShiftNormal::zeros(), right: ShiftUnknowns::zeros(), cost: 0.0 }
     }
 
-    fn add(&mut self, other: &Sums, weight: f64) {
+    fn add(&mut self, other: &PartSums, weight: f64) {
         self.normal += weight * other.normal;
         self.right += weight * other.right;
         self.cost += weight * other.cost;
     }
 }
 
-impl Form {
+impl ShiftForm {
     fn unknowns(self) -> usize {
         match self {
-            Form::Constant => SHIFT + 2,
-            Form::Affine => MOST,
+            ShiftForm::Constant => SHIFT + 2,
+            ShiftForm::Affine => MOST,
         }
     }
 }
 
-impl Compared<'_> {
+impl ChangesAndEvents<'_> {
     /// The shift of a form; none where too little changes.
-    pub fn misalignment(&self, form: Form) -> Option<Misalignment> {
+    pub fn misalignment(&self, form: ShiftForm) -> Option<Misalignment> {
         if self.samples.len() < FEWEST {
             return None;
         }
-        let (still, scale) = self.fitted(SHIFT, &Unknowns::zeros(), None)?;
+        let (still, scale) = self.fitted(SHIFT, &ShiftUnknowns::zeros(), None)?;
         let (found, _) = self.fitted(form.unknowns(), &self.start(), Some(scale))?;
-        let cost = |sums: &[Sums]| sums.iter().map(|sums| sums.cost).sum::<f64>();
+        let cost = |sums: &[PartSums]| sums.iter().map(|sums| sums.cost).sum::<f64>();
         let parts = self.sums(&found, form.unknowns(), scale);
         let left = cost(&parts) / cost(&self.sums(&still, SHIFT, scale));
-        let parts: Vec<Sums> = parts.into_iter().filter(|sums| sums.cost > 0.0).collect();
+        let parts: Vec<PartSums> = parts.into_iter().filter(|sums| sums.cost > 0.0).collect();
         let of = |unknown: usize| {
             by_draws(parts.len(), |weights| {
-                let mut all = Sums::none();
+                let mut all = PartSums::empty();
                 parts.iter().zip(weights).for_each(|(sums, weight)| all.add(sums, *weight));
                 step(&all, form.unknowns()).map(|step| found[unknown] + step[unknown])
             })
@@ -161,18 +161,18 @@ impl Compared<'_> {
 
     /// The highest correlation of counts and changes at any shift of whole pixels, -1 to 1.
     pub fn agreement(&self) -> f64 {
-        self.whole().1
+        self.whole_pixel_shift().1
     }
 
     /// Starting values: the whole pixels at which counts and changes correlate best.
-    fn start(&self) -> Unknowns {
-        let (place, _) = self.whole();
-        let mut start = Unknowns::zeros();
+    fn start(&self) -> ShiftUnknowns {
+        let (place, _) = self.whole_pixel_shift();
+        let mut start = ShiftUnknowns::zeros();
         (start[SHIFT], start[SHIFT + 1]) = (f64::from(place.0), f64::from(place.1));
         start
     }
 
-    fn whole(&self) -> ((i32, i32), f64) {
+    fn whole_pixel_shift(&self) -> ((i32, i32), f64) {
         let places: Vec<(i32, i32)> =
             (-WHOLE..=WHOLE).flat_map(|y| (-WHOLE..=WHOLE).map(move |x| (x, y))).collect();
         let correlation = |&(right, down): &(i32, i32)| {
@@ -193,14 +193,14 @@ impl Compared<'_> {
         (places[best], all[best])
     }
 
-    /// The first `count` unknowns at which least is left, and the robust standard deviation of that.
-    fn fitted(&self, count: usize, from: &Unknowns, scale: Option<f64>) -> Option<(Unknowns, f64)> {
+    /// The first `count` unknowns with the smallest residual, and its robust standard deviation.
+    fn fitted(&self, count: usize, from: &ShiftUnknowns, scale: Option<f64>) -> Option<(ShiftUnknowns, f64)> {
         let mut found = *from;
         // Gains and lateness first, which are linear: the shift stays until these are known.
         let mut scale_now = scale.unwrap_or(f64::INFINITY);
         for n in 0..STEPS {
             let of = if n < 2 { SHIFT } else { count };
-            let mut all = Sums::none();
+            let mut all = PartSums::empty();
             self.sums(&found, of, scale_now).iter().for_each(|sums| all.add(sums, 1.0));
             let step = step(&all, of)?;
             let longest = (SHIFT..MOST).fold(0.0, |most, k| f64::max(most, step[k].abs()));
@@ -215,8 +215,8 @@ impl Compared<'_> {
         found.iter().all(|value| value.is_finite()).then_some((found, scale_now))
     }
 
-    /// The robust standard deviation of what is left.
-    fn spread(&self, unknowns: &Unknowns) -> f64 {
+    /// Robust standard deviation of the residuals.
+    fn spread(&self, unknowns: &ShiftUnknowns) -> f64 {
         let samples = self.samples.iter();
         let mut left: Vec<f64> =
             samples.filter_map(|sample| self.residual(sample, unknowns).map(|(r, ..)| r.abs())).collect();
@@ -224,7 +224,7 @@ impl Compared<'_> {
     }
 
     /// The residual of a sample and its derivatives.
-    fn residual(&self, sample: &Sample, unknowns: &Unknowns) -> Option<(f64, Unknowns)> {
+    fn residual(&self, sample: &ShiftSample, unknowns: &ShiftUnknowns) -> Option<(f64, ShiftUnknowns)> {
         let (u, v) = (f64::from(sample.at.0), f64::from(sample.at.1));
         let shift = |axis: usize| {
             unknowns[SHIFT + axis] + unknowns[SHIFT + 2 + axis] * u + unknowns[SHIFT + 4 + axis] * v
@@ -235,7 +235,7 @@ impl Compared<'_> {
             (f64::from(sample.count), f64::from(sample.rate), f64::from(sample.dimness));
         let sign = usize::from(change < 0.0);
         let residual = count + (unknowns[2] + unknowns[3] * dimness) * rate - unknowns[sign] * change;
-        let mut by = Unknowns::zeros();
+        let mut by = ShiftUnknowns::zeros();
         by[sign] = -change;
         (by[2], by[3]) = (rate, rate * dimness);
         for (axis, slope) in [by_x, by_y].into_iter().enumerate() {
@@ -246,8 +246,8 @@ impl Compared<'_> {
     }
 
     /// Normal equations of each part of the array, and Huber's cost, in squares of `scale`.
-    fn sums(&self, unknowns: &Unknowns, count: usize, scale: f64) -> Vec<Sums> {
-        let add = |mut sums: Vec<Sums>, sample: &Sample| {
+    fn sums(&self, unknowns: &ShiftUnknowns, count: usize, scale: f64) -> Vec<PartSums> {
+        let add = |mut sums: Vec<PartSums>, sample: &ShiftSample| {
             if let Some((residual, by)) = self.residual(sample, unknowns) {
                 let size = (residual / scale).abs();
                 let weight = if size <= HUBER || !scale.is_finite() { 1.0 } else { HUBER / size };
@@ -263,12 +263,12 @@ impl Compared<'_> {
             sums
         };
         // Blocks of a fixed size, joined in their order: the same bits with any number of threads.
-        let blocks: Vec<Vec<Sums>> = self
+        let blocks: Vec<Vec<PartSums>> = self
             .samples
             .par_chunks(1 << 14)
-            .map(|samples| samples.iter().fold(vec![Sums::none(); PARTS * PARTS], add))
+            .map(|samples| samples.iter().fold(vec![PartSums::empty(); PARTS * PARTS], add))
             .collect();
-        let mut all = vec![Sums::none(); PARTS * PARTS];
+        let mut all = vec![PartSums::empty(); PARTS * PARTS];
         for block in &blocks {
             all.iter_mut().zip(block).for_each(|(all, part)| all.add(part, 1.0));
         }
@@ -277,7 +277,7 @@ impl Compared<'_> {
 }
 
 /// The Gauss-Newton step of the first `count` unknowns; none where its unknowns are not determined at all.
-fn step(sums: &Sums, count: usize) -> Option<Unknowns> {
+fn step(sums: &PartSums, count: usize) -> Option<ShiftUnknowns> {
     let mut normal = sums.normal;
     for row in 0..MOST {
         for column in row + 1..MOST {
@@ -312,7 +312,7 @@ mod tests {
     }
 
     /// Counts of events whose places lie off by `shift`, exact; `rate` is what a scene that moves has.
-    fn made(shift: impl Fn(f64, f64) -> (f64, f64)) -> (Vec<Image>, Vec<Sample>) {
+    fn simulate_counts(shift: impl Fn(f64, f64) -> (f64, f64)) -> (Vec<Image>, Vec<ShiftSample>) {
         let (mut changes, mut samples) = (Vec::new(), Vec::new());
         for pair in 0..6 {
             let values =
@@ -326,7 +326,7 @@ mod tests {
                 let rate = libm::sin(0.2 * x + 0.3 * y + pair as f64);
                 let dimness = 1.0 + 0.5 * libm::sin(0.4 * x);
                 let gain = if now < 0.0 { GAINS.1 } else { GAINS.0 };
-                samples.push(Sample {
+                samples.push(ShiftSample {
                     pair: pair as u32,
                     part: (at / SIDE * PARTS / SIDE * PARTS + at % SIDE * PARTS / SIDE) as u16,
                     place: (x as f32, y as f32),
@@ -343,9 +343,9 @@ mod tests {
     #[test]
     fn shifts_are_found_to_a_fraction_of_a_pixel_with_gains_and_lateness_open() {
         for (right, down) in [(0.0, 0.0), (0.4, -0.7), (-1.6, 1.3), (2.2, 0.1)] {
-            let (changes, samples) = made(|_, _| (right, down));
-            let compared = Compared { changes: &changes, samples: &samples };
-            let found = compared.misalignment(Form::Constant).unwrap();
+            let (changes, samples) = simulate_counts(|_, _| (right, down));
+            let compared = ChangesAndEvents { changes: &changes, samples: &samples };
+            let found = compared.misalignment(ShiftForm::Constant).unwrap();
             // Bilinear between pixels of waves of 20: a hundredth.
             let [x, y] = found.shift;
             assert!((x.value - right).abs() < 0.02 && (y.value - down).abs() < 0.02, "{found:?}");
@@ -360,22 +360,23 @@ mod tests {
 
     #[test]
     fn a_shift_that_varies_over_the_array_is_found_as_one() {
-        let (changes, samples) = made(|u, v| (0.5 + 0.6 * u - 0.3 * v, -0.2 + 0.1 * u + 0.4 * v));
-        let compared = Compared { changes: &changes, samples: &samples };
-        let found = compared.misalignment(Form::Affine).unwrap();
+        let (changes, samples) = simulate_counts(|u, v| (0.5 + 0.6 * u - 0.3 * v, -0.2 + 0.1 * u + 0.4 * v));
+        let compared = ChangesAndEvents { changes: &changes, samples: &samples };
+        let found = compared.misalignment(ShiftForm::Affine).unwrap();
         for (u, v) in [(0.0, 0.0), (1.0, 0.0), (-1.0, 1.0)] {
             let (x, y) = found.at((u, v));
             let (right, down) = (0.5 + 0.6 * u - 0.3 * v, -0.2 + 0.1 * u + 0.4 * v);
             assert!((x - right).abs() < 0.05 && (y - down).abs() < 0.05, "{u} {v}: {x} {y}");
         }
-        assert!(compared.misalignment(Form::Constant).unwrap().left > 2.0 * found.left);
+        assert!(compared.misalignment(ShiftForm::Constant).unwrap().left > 2.0 * found.left);
     }
 
     #[test]
     fn the_jacobian_is_that_of_differences() {
-        let (changes, samples) = made(|_, _| (0.0, 0.0));
-        let compared = Compared { changes: &changes, samples: &samples };
-        let unknowns = Unknowns::from_column_slice(&[5.0, 4.0, 0.1, 0.2, 0.3, -0.4, 0.05, 0.02, -0.03, 0.04]);
+        let (changes, samples) = simulate_counts(|_, _| (0.0, 0.0));
+        let compared = ChangesAndEvents { changes: &changes, samples: &samples };
+        let unknowns =
+            ShiftUnknowns::from_column_slice(&[5.0, 4.0, 0.1, 0.2, 0.3, -0.4, 0.05, 0.02, -0.03, 0.04]);
         for sample in samples.iter().skip(1300).step_by(977) {
             let Some((_, by)) = compared.residual(sample, &unknowns) else { continue };
             for k in 0..MOST {
@@ -393,7 +394,7 @@ mod tests {
     #[test]
     fn light_that_moves_one_way_leaves_the_shift_along_it_open() {
         // Counts of a later instant are those of a place further on: shift and lateness are one.
-        let (changes, mut samples) = made(|_, _| (0.0, 0.0));
+        let (changes, mut samples) = simulate_counts(|_, _| (0.0, 0.0));
         let slope =
             |pair: usize, x: f64, y: f64| (change(pair, x + 0.01, y) - change(pair, x - 0.01, y)) / 0.02;
         for sample in &mut samples {
@@ -406,9 +407,9 @@ mod tests {
             let noise = 0.3 * libm::sin(12.9 * x + 78.2 * y + 37.7 * pair as f64);
             sample.count = (gain * now + noise) as f32;
         }
-        let compared = Compared { changes: &changes, samples: &samples };
+        let compared = ChangesAndEvents { changes: &changes, samples: &samples };
         let width = |one: &Estimate| one.ci95.1 - one.ci95.0;
-        let [x, y] = compared.misalignment(Form::Constant).unwrap().shift;
+        let [x, y] = compared.misalignment(ShiftForm::Constant).unwrap().shift;
         assert!(width(&x) > 10.0 * width(&y), "{x:?} {y:?}");
     }
 }

@@ -1,20 +1,22 @@
-//! A scene in parts: the moving picture where it predicts frames, and pictures of tiles of the array for a
-//! few frames each where it does not.
+//! A scene in parts: one moving picture where it predicts frames, and elsewhere pictures of tiles of the
+//! array for a few frames each.
 //!
-//! Whether a tile is better off with a picture of its own is selected of frame values alone: those that
-//! change and that either predicts within the noise.
+//! Whether a tile has a picture of its own is decided by frame values alone: those that change and that
+//! either predicts within the noise.
 
 use crate::case::Case;
-use crate::light::Light;
+use crate::light::LogLight;
 use crate::moving::MovingPicture;
 use crate::nominal::Nominal;
 use crate::picture::begin::images;
-use crate::picture::motion::{Map, apply, compose};
+use crate::picture::motion::{AffineMap, apply, compose};
 pub use crate::picture::patches::PatchSetting;
-use crate::picture::patches::{LEAST_EVENTS, MOVES, Part, Patch, TURN, follow, foreground, ground};
-use crate::picture::register::{Search, register};
-use crate::picture::{Begin, FRAME_NOISE, Picture, PictureSetting};
-use crate::scene::{Scene, Tolerance, usual_step_dn};
+use crate::picture::patches::{
+    LEAST_EVENTS, MOVES, PatchPart, PicturePatch, TURN, follow_motion, foreground, ground,
+};
+use crate::picture::register::{RegisterSearch, register};
+use crate::picture::{FRAME_NOISE, FitStart, PictureSetting, ScenePicture};
+use crate::scene::{FrameTolerance, Scene, usual_step_dn};
 use crate::statistics::{MEDIAN_NORMAL, median};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -22,11 +24,11 @@ use std::ops::Range;
 /// The moving picture needs no help where the median of its residuals is below this, standard deviations as
 /// first assumed.
 const WELL: f64 = 2.0;
-/// So many parts are tried first, those with the most events.
+/// Number of parts that are tried first: those with the most events.
 const PROBES: usize = 8;
 /// Fewer of them than this share that are better mean that parts do not help.
 const HELPED: f64 = 0.4;
-/// A pixel's ground is what at least this share of its frames agree on.
+/// Least share of a pixel's frames that agree on its ground.
 const AGREED: f64 = 0.35;
 /// There is a still ground where more than this share of the pixels has one.
 const STILL: f64 = 0.6;
@@ -34,14 +36,14 @@ const STILL: f64 = 0.6;
 const LEAST_PREDICTED: f64 = 0.5;
 /// And so much more than the moving picture.
 const BETTER: f64 = 0.1;
-/// A value is predicted that misses by less than [`crate::scene::STEP`] of a threshold, or by so many usual
+/// A value is predicted where its residual is below [`crate::scene::STEP`] of a threshold, or this many usual
 /// residuals.
 const SPREAD: f64 = 4.5;
 
 /// The moving picture, and pictures of parts where they are better.
-pub struct Mosaic {
+pub struct PictureMosaic {
     whole: Option<MovingPicture>,
-    patches: Vec<Patch>,
+    patches: Vec<PicturePatch>,
     /// The tile of each patch.
     tile: Vec<usize>,
     tiles: Vec<(Range<u32>, Range<u32>)>,
@@ -52,7 +54,7 @@ pub struct Mosaic {
     moves: Vec<bool>,
     residual: Vec<f32>,
     misfit: f64,
-    /// A value is predicted that misses by less, DN.
+    /// Largest residual of a predicted value, DN.
     least_dn: f64,
 }
 
@@ -60,7 +62,7 @@ pub struct Mosaic {
 /// them and they do.
 ///
 /// # Errors
-/// When neither predicts anything, with the reason of [`Picture::fit`].
+/// When neither predicts anything, with the reason of [`ScenePicture::fit`].
 pub fn scene(
     case: &Case,
     nominal: &Nominal,
@@ -70,7 +72,7 @@ pub fn scene(
     scene_where(case, nominal, whole, setting, None)
 }
 
-/// The same, to the values of selected pixels ([`Begin::selected`]); it predicts no others.
+/// The same, to the values of selected pixels ([`FitStart::selected`]); it predicts no others.
 ///
 /// # Errors
 /// As [`scene`].
@@ -99,9 +101,9 @@ pub fn scene_where(
     }
     let ground = is_there.then(|| light_of_ground(case, nominal, &still));
     let everywhere = (0..case.extent.width, 0..case.extent.height);
-    let misses = |picture: &Picture| {
-        usual(case, nominal, &moves, &everywhere, &(0..case.frame_count()), |l, x, y| {
-            of_picture(case, picture, l, x, y)
+    let misses = |picture: &ScenePicture| {
+        median_residual(case, nominal, &moves, &everywhere, &(0..case.frame_count()), |l, x, y| {
+            picture_residual(case, picture, l, x, y)
         })
     };
     let of_one = whole.as_ref().map_or(f64::INFINITY, |whole| misses(&whole.picture));
@@ -111,24 +113,24 @@ pub fn scene_where(
             whole = Ok(MovingPicture::new(before, of_whole, case, nominal));
         }
     }
-    let mut found = Mosaic {
-        whole: whole.as_ref().ok().map(|whole| whole.with(whole.picture.clone())),
+    let mut found = PictureMosaic {
+        whole: whole.as_ref().ok().map(|whole| whole.with_picture(whole.picture.clone())),
         patches: Vec::new(),
         tile: Vec::new(),
         tiles,
         setting: *setting,
-        of_parts: of_whole.of_parts(),
+        of_parts: of_whole.for_parts(),
         moves,
         residual: Vec::new(),
         misfit: 1.0,
         least_dn: usual_step_dn(case, nominal),
     };
     let changes = found.moves.clone();
-    let needed = found.needed(case, nominal, &changes);
+    let needed = found.poorly_predicted_tiles(case, nominal, &changes);
     let fit = |list: &[(usize, Range<usize>)]| found.fit(case, nominal, &changes, ground.as_deref(), list);
     let probes = PROBES.min(needed.len());
     let mut fitted = fit(&needed[..probes]);
-    let better = |fitted: &[(usize, Patch)]| found.better(case, nominal, &changes, fitted);
+    let better = |fitted: &[(usize, PicturePatch)]| found.better(case, nominal, &changes, fitted);
     let helped = better(&fitted).iter().filter(|is| **is).count();
     if helped == 0 || (helped as f64) < HELPED * probes as f64 {
         return whole.map(|whole| Box::new(MovingPicture { is_one: helped == 0, ..whole }) as Box<dyn Scene>);
@@ -164,48 +166,57 @@ fn before_ground(
     of_picture: &PictureSetting,
     moves: &[bool],
     (ground, selected): (&[f32], Option<&[bool]>),
-) -> Picture {
+) -> ScenePicture {
     let count = case.frame_count();
     let images = images(case, nominal);
-    let pairs: Vec<Map> = (1..count)
+    let pairs: Vec<AffineMap> = (1..count)
         .into_par_iter()
-        .map(|l| register(&images[l - 1], &images[l], &Search::default(), None).0)
+        .map(|l| register(&images[l - 1], &images[l], &RegisterSearch::default(), None).0)
         .collect();
-    let mut chained: Vec<Map> = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]];
+    let mut chained: Vec<AffineMap> = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]];
     for pair in &pairs {
         chained.push(compose(chained.last().expect("one is there"), pair));
     }
-    let steady = follow(case, nominal, moves, TURN);
-    Picture::fit_from(
+    let steady = follow_motion(case, nominal, moves, TURN);
+    ScenePicture::fit_from(
         case,
         nominal,
         of_picture,
         &[&chained, &steady],
-        Begin { counts: None, ground: Some(ground), selected },
+        FitStart { counts: None, ground: Some(ground), selected },
     )
 }
 
-impl Mosaic {
+impl PictureMosaic {
     /// Tiles and windows with events whose moving values the moving picture does not predict, those with the
     /// most events first.
-    fn needed(&self, case: &Case, nominal: &Nominal, changes: &[bool]) -> Vec<(usize, Range<usize>)> {
+    fn poorly_predicted_tiles(
+        &self,
+        case: &Case,
+        nominal: &Nominal,
+        changes: &[bool],
+    ) -> Vec<(usize, Range<usize>)> {
         let windows = self.setting.windows(case.frame_count());
         let mut needed: Vec<(usize, usize, Range<usize>)> = Vec::new();
         let middle = |l: usize, y: u32| middle_ns(case, l, y);
         for (n, tile) in self.tiles.iter().enumerate() {
             for window in &windows {
                 let misses = self.whole.as_ref().map(|whole| {
-                    usual(case, nominal, changes, tile, window, |l, x, y| {
-                        of_picture(case, &whole.picture, l, x, y)
+                    median_residual(case, nominal, changes, tile, window, |l, x, y| {
+                        picture_residual(case, &whole.picture, l, x, y)
                     })
                 });
                 if misses.is_some_and(|misses| misses < WELL) {
                     continue;
                 }
                 let within = |pixel: usize| {
-                    let (_, y) = case.place(pixel);
+                    let (_, y) = case.pixel_place(pixel);
                     let (from, to) = (middle(window.start, y), middle(window.end - 1, y));
-                    case.events.of(pixel).iter().filter(|event| (from..to).contains(&event.t_in_ns)).count()
+                    case.events
+                        .of_pixel(pixel)
+                        .iter()
+                        .filter(|event| (from..to).contains(&event.t_in_ns))
+                        .count()
                 };
                 let events: usize = pixels_of(case, tile).map(within).sum();
                 if events >= LEAST_EVENTS {
@@ -226,10 +237,10 @@ impl Mosaic {
         changes: &[bool],
         ground: Option<&[f32]>,
         list: &[(usize, Range<usize>)],
-    ) -> Vec<(usize, Patch)> {
+    ) -> Vec<(usize, PicturePatch)> {
         let one = |(tile, frames): &(usize, Range<usize>)| {
-            let part = Part::around(&self.tiles[*tile], frames.clone(), case.extent, &self.setting);
-            Some((*tile, Patch::fit(case, nominal, changes, ground, part, &self.of_parts)?))
+            let part = PatchPart::around_tile(&self.tiles[*tile], frames.clone(), case.extent, &self.setting);
+            Some((*tile, PicturePatch::fit(case, nominal, changes, ground, part, &self.of_parts)?))
         };
         list.par_iter().filter_map(one).collect()
     }
@@ -240,12 +251,12 @@ impl Mosaic {
         case: &Case,
         nominal: &Nominal,
         changes: &[bool],
-        fitted: &[(usize, Patch)],
+        fitted: &[(usize, PicturePatch)],
     ) -> Vec<bool> {
         let mut misses: Vec<f64> = fitted
             .iter()
             .map(|(tile, patch)| {
-                usual(case, nominal, changes, &self.tiles[*tile], &patch.part.frames, |l, x, y| {
+                median_residual(case, nominal, changes, &self.tiles[*tile], &patch.part.frames, |l, x, y| {
                     patch.residual(l, x, y)
                 })
             })
@@ -273,7 +284,9 @@ impl Mosaic {
             .map(|(tile, patch)| {
                 let own = predicted(*tile, &patch.part.frames, &|l, x, y| patch.residual(l, x, y));
                 let other = self.whole.as_ref().map_or(0.0, |whole| {
-                    predicted(*tile, &patch.part.frames, &|l, x, y| of_picture(case, &whole.picture, l, x, y))
+                    predicted(*tile, &patch.part.frames, &|l, x, y| {
+                        picture_residual(case, &whole.picture, l, x, y)
+                    })
                 });
                 own >= LEAST_PREDICTED && own > other + BETTER
             })
@@ -281,8 +294,8 @@ impl Mosaic {
     }
 
     /// Patches of a tile, in order of time.
-    fn of_tile(&self, tile: usize) -> Vec<(usize, &Patch)> {
-        let mut found: Vec<(usize, &Patch)> =
+    fn patches_of_tile(&self, tile: usize) -> Vec<(usize, &PicturePatch)> {
+        let mut found: Vec<(usize, &PicturePatch)> =
             self.patches.iter().enumerate().filter(|(n, _)| self.tile[*n] == tile).collect();
         found.sort_by_key(|(_, patch)| patch.part.frames.start);
         found
@@ -297,9 +310,9 @@ impl Mosaic {
             None => vec![f32::NAN; count * pixels],
         };
         for (n, tile) in self.tiles.iter().enumerate() {
-            let patches = self.of_tile(n);
+            let patches = self.patches_of_tile(n);
             for l in 0..count {
-                let here: Vec<&Patch> = patches
+                let here: Vec<&PicturePatch> = patches
                     .iter()
                     .filter(|(_, patch)| patch.part.frames.contains(&l))
                     .map(|(_, patch)| *patch)
@@ -311,7 +324,7 @@ impl Mosaic {
                 let is_covered = |k: usize| here.iter().any(|patch| patch.part.frames.contains(&k));
                 let is_joint = (l > 0 && !is_covered(l - 1)) || (l + 1 < count && !is_covered(l + 1));
                 for pixel in pixels_of(case, tile) {
-                    let (x, y) = case.place(pixel);
+                    let (x, y) = case.pixel_place(pixel);
                     let own = here.iter().map(|patch| patch.residual(l, x, y));
                     let at = l * pixels + pixel;
                     if !self.moves[at] && residual[at].is_finite() {
@@ -319,7 +332,7 @@ impl Mosaic {
                         continue;
                     }
                     let joint = is_joint.then_some(residual[at]);
-                    residual[at] = own.chain(joint).fold(0.0, worse);
+                    residual[at] = own.chain(joint).fold(0.0, larger_residual);
                 }
             }
         }
@@ -336,16 +349,16 @@ impl Mosaic {
     /// The picture of most weight on a pixel at an instant: number of its patch, and of none the moving
     /// picture.
     fn patch_at(&self, case: &Case, pixel: usize, t_ns: i64) -> Option<usize> {
-        let (x, y) = case.place(pixel);
+        let (x, y) = case.pixel_place(pixel);
         let tile = self.tiles.iter().position(|(columns, rows)| columns.contains(&x) && rows.contains(&y))?;
-        let of = self.of_tile(tile);
+        let of = self.patches_of_tile(tile);
         let weighed = of.iter().map(|(n, patch)| (*n, weight(case, patch, y, t_ns)));
         weighed.filter(|(_, weight)| *weight > 0.0).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(n, _)| n)
     }
 }
 
 /// The larger of two residuals; NaN when one is.
-fn worse(a: f32, b: f32) -> f32 {
+fn larger_residual(a: f32, b: f32) -> f32 {
     if a.is_nan() || b.is_nan() {
         f32::NAN
     } else if b.abs() > a.abs() {
@@ -362,8 +375,8 @@ fn middle_ns(case: &Case, l: usize, y: u32) -> i64 {
     })
 }
 
-/// Weight of a patch at an instant: nothing outside of its window, and most in its middle.
-fn weight(case: &Case, patch: &Patch, y: u32, t_ns: i64) -> f64 {
+/// Weight of a patch at an instant: 0 outside of its window, largest in its middle.
+fn weight(case: &Case, patch: &PicturePatch, y: u32, t_ns: i64) -> f64 {
     let frames = &patch.part.frames;
     let (from, to) = (middle_ns(case, frames.start, y), middle_ns(case, frames.end - 1, y));
     let t_ns = t_ns.clamp(middle_ns(case, 0, y), middle_ns(case, case.frame_count() - 1, y));
@@ -380,7 +393,7 @@ fn pixels_of<'a>(case: &Case, tile: &'a (Range<u32>, Range<u32>)) -> impl Iterat
     rows.clone().flat_map(move |y| columns.clone().map(move |x| (y * width + x) as usize))
 }
 
-fn of_picture(case: &Case, picture: &Picture, l: usize, x: u32, y: u32) -> f32 {
+fn picture_residual(case: &Case, picture: &ScenePicture, l: usize, x: u32, y: u32) -> f32 {
     picture.residual[l * case.extent.pixels() + (y * case.extent.width + x) as usize]
 }
 
@@ -394,7 +407,7 @@ fn for_moving(
     let pixels = case.extent.pixels();
     for l in frames.clone() {
         for pixel in pixels_of(case, tile).filter(|pixel| changes[l * pixels + pixel]) {
-            let (x, y) = case.place(pixel);
+            let (x, y) = case.pixel_place(pixel);
             with(l, pixel, x, y);
         }
     }
@@ -402,7 +415,7 @@ fn for_moving(
 
 /// Median residual of the moving values of a tile and window, standard deviations over 0.6745; infinite where
 /// most of them took no part.
-fn usual(
+fn median_residual(
     case: &Case,
     nominal: &Nominal,
     changes: &[bool],
@@ -420,19 +433,19 @@ fn usual(
     if sizes.is_empty() { 0.0 } else { median(&mut sizes) / MEDIAN_NORMAL }
 }
 
-impl Scene for Mosaic {
+impl Scene for PictureMosaic {
     fn name(&self) -> &'static str {
         "patches"
     }
 
     fn log_light(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
         let of_whole = self.whole.as_ref().map(|whole| whole.log_light(case, step_ns, pixels));
-        self.joined((case, step_ns, pixels), of_whole, Picture::log_light)
+        self.join_predictions((case, step_ns, pixels), of_whole, ScenePicture::log_light)
     }
 
     fn exposures_seen(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
         let of_whole = self.whole.as_ref().map(|whole| whole.exposures_seen(case, step_ns, pixels));
-        self.joined((case, step_ns, pixels), of_whole, |picture, x, y, maps| {
+        self.join_predictions((case, step_ns, pixels), of_whole, |picture, x, y, maps| {
             Some(picture.exposures_seen(x, y, maps))
         })
     }
@@ -441,23 +454,23 @@ impl Scene for Mosaic {
         &self.residual
     }
 
-    fn tolerance(&self) -> Option<Tolerance> {
-        Some(Tolerance { any_dn: self.least_dn, alike_dn: self.least_dn })
+    fn tolerance(&self) -> Option<FrameTolerance> {
+        Some(FrameTolerance { any_dn: self.least_dn, alike_dn: self.least_dn })
     }
 
     fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
         self.misfit * nominal.frame_sigma_dn(signal, FRAME_NOISE)
     }
 
-    fn place(&self, case: &Case, pixel: usize, t_ns: i64) -> (u32, f64, f64) {
+    fn part_and_place(&self, case: &Case, pixel: usize, t_ns: i64) -> (u32, f64, f64) {
         let Some(n) = self.patch_at(case, pixel, t_ns) else {
             return self
                 .whole
                 .as_ref()
-                .map_or((0, pixel as f64, 0.0), |whole| whole.place(case, pixel, t_ns));
+                .map_or((0, pixel as f64, 0.0), |whole| whole.part_and_place(case, pixel, t_ns));
         };
         let patch = &self.patches[n];
-        let (x, y) = case.place(pixel);
+        let (x, y) = case.pixel_place(pixel);
         let extent = patch.part.extent();
         let centre = (0.5 * (f64::from(extent.width) - 1.0), 0.5 * (f64::from(extent.height) - 1.0));
         let place = (
@@ -472,10 +485,10 @@ impl Scene for Mosaic {
         let whole = self
             .whole
             .as_ref()
-            .map(|whole| whole.with(whole.picture.refit(case, nominal, &whole.setting, None)));
+            .map(|whole| whole.with_picture(whole.picture.refit(case, nominal, &whole.setting, None)));
         let patches =
             self.patches.par_iter().map(|patch| patch.refit(case, nominal, &self.of_parts)).collect();
-        Ok(Box::new(self.with(case, whole, patches)))
+        Ok(Box::new(self.with_pictures(case, whole, patches)))
     }
 
     fn posterior_sample(
@@ -485,14 +498,17 @@ impl Scene for Mosaic {
         seed: u64,
     ) -> Result<Option<Box<dyn Scene>>, String> {
         let draw = |whole: &MovingPicture| {
-            whole.picture.drawn(case, nominal, &whole.setting, None, seed).sharpened(whole.setting.sharpest)
+            whole
+                .picture
+                .posterior_sample(case, nominal, &whole.setting, None, seed)
+                .sharpened(whole.setting.sharpest)
         };
-        let whole = self.whole.as_ref().map(|whole| whole.with(draw(whole)));
-        let one = |(n, patch): (usize, &Patch)| {
+        let whole = self.whole.as_ref().map(|whole| whole.with_picture(draw(whole)));
+        let one = |(n, patch): (usize, &PicturePatch)| {
             patch.posterior_sample(case, nominal, &self.of_parts, seed.wrapping_add(1 + n as u64))
         };
         let patches = self.patches.par_iter().enumerate().map(one).collect();
-        Ok(Some(Box::new(self.with(case, whole, patches))))
+        Ok(Some(Box::new(self.with_pictures(case, whole, patches))))
     }
 
     fn misfit(&self) -> f64 {
@@ -500,22 +516,22 @@ impl Scene for Mosaic {
     }
 }
 
-impl Mosaic {
-    /// What pictures say of pixels at steady instants: `of_patch` those of parts, and where there are none
-    /// `of_whole` the moving one.
-    fn joined(
+impl PictureMosaic {
+    /// Predictions for pixels at steady instants: `of_patch` by patches, and elsewhere `of_whole` by the
+    /// moving picture.
+    fn join_predictions(
         &self,
         (case, step_ns, pixels): (&Case, i64, &[usize]),
         of_whole: Option<Vec<Vec<f32>>>,
-        of_patch: impl Fn(&Picture, usize, usize, &[Map]) -> Option<Vec<f64>>,
+        of_patch: impl Fn(&ScenePicture, usize, usize, &[AffineMap]) -> Option<Vec<f64>>,
     ) -> Vec<Vec<f32>> {
         let mut of_whole = of_whole.unwrap_or_else(|| vec![Vec::new(); pixels.len()]);
-        let instants: Vec<i64> = Light::instants(case, step_ns).collect();
+        let instants: Vec<i64> = LogLight::instants(case, step_ns).collect();
         // Patches of a tile with where they lie at every instant; neighbouring pixels mostly share them.
         let mut tile = usize::MAX;
-        let mut patches: Vec<(&Patch, Vec<Map>)> = Vec::new();
+        let mut patches: Vec<(&PicturePatch, Vec<AffineMap>)> = Vec::new();
         for (pixel, predicted) in pixels.iter().zip(&mut of_whole) {
-            let (x, y) = case.place(*pixel);
+            let (x, y) = case.pixel_place(*pixel);
             let Some(here) =
                 self.tiles.iter().position(|(columns, rows)| columns.contains(&x) && rows.contains(&y))
             else {
@@ -524,21 +540,26 @@ impl Mosaic {
             if here != tile {
                 tile = here;
                 patches = self
-                    .of_tile(tile)
+                    .patches_of_tile(tile)
                     .into_iter()
                     .map(|(_, patch)| (patch, instants.iter().map(|t| patch.picture.motion.at(*t)).collect()))
                     .collect();
             }
             if !patches.is_empty() {
-                *predicted = of_patches(case, *pixel, &patches, &instants, predicted, &of_patch);
+                *predicted = predict_by_patches(case, *pixel, &patches, &instants, predicted, &of_patch);
             }
         }
         of_whole
     }
 
     /// The same parts with other pictures.
-    fn with(&self, case: &Case, whole: Option<MovingPicture>, patches: Vec<Patch>) -> Mosaic {
-        let mut other = Mosaic {
+    fn with_pictures(
+        &self,
+        case: &Case,
+        whole: Option<MovingPicture>,
+        patches: Vec<PicturePatch>,
+    ) -> PictureMosaic {
+        let mut other = PictureMosaic {
             whole,
             patches,
             tile: self.tile.clone(),
@@ -555,17 +576,17 @@ impl Mosaic {
     }
 }
 
-/// What patches, with where they lie at every instant, predict for a pixel; where they predict nothing, the
-/// moving picture's prediction `of_whole`.
-fn of_patches(
+/// Prediction for a pixel by patches with their poses at every instant; where they give none, the moving
+/// picture's prediction `of_whole`.
+fn predict_by_patches(
     case: &Case,
     pixel: usize,
-    patches: &[(&Patch, Vec<Map>)],
+    patches: &[(&PicturePatch, Vec<AffineMap>)],
     instants: &[i64],
     of_whole: &[f32],
-    of_patch: &impl Fn(&Picture, usize, usize, &[Map]) -> Option<Vec<f64>>,
+    of_patch: &impl Fn(&ScenePicture, usize, usize, &[AffineMap]) -> Option<Vec<f64>>,
 ) -> Vec<f32> {
-    let (x, y) = case.place(pixel);
+    let (x, y) = case.pixel_place(pixel);
     let mut sum = vec![0.0; instants.len()];
     let mut weights = vec![0.0; instants.len()];
     for (patch, maps) in patches {
@@ -587,7 +608,7 @@ fn of_patches(
     filled(&known)
 }
 
-/// Unknown values are the nearest known one before, or behind; nothing where none is known.
+/// Replaces unknown values by the nearest known one before or behind; empty where none is known.
 fn filled(known: &[Option<f32>]) -> Vec<f32> {
     let Some(first) = known.iter().flatten().next() else { return Vec::new() };
     let mut last = *first;

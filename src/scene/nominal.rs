@@ -50,7 +50,7 @@ impl Case {
 
     /// A pixel's place, for effects.
     pub fn site(&self, pixel: usize, seed: u64) -> Site {
-        let (x, y) = self.place(pixel);
+        let (x, y) = self.pixel_place(pixel);
         Site { x, y, width: self.extent.width, height: self.extent.height, seed }
     }
 }

@@ -1,5 +1,5 @@
-//! The events and the frames of a recording in memory, shared between copies: what a copy leaves out is a
-//! mask next to them.
+//! Events and frames of a recording in memory, shared between copies: exclusions of a copy are a mask next to
+//! them.
 
 use photocurrent_core::{Colour, FrameTimes};
 use photocurrent_sensor::comparator::PixelEvent;
@@ -19,7 +19,7 @@ pub struct PixelEvents {
 impl PixelEvents {
     /// From the events of each pixel, in row-major order of pixels; sorts each.
     pub fn new(pixels: impl IntoIterator<Item = Vec<PixelEvent>>) -> PixelEvents {
-        let mut gathered = Gathered::default();
+        let mut gathered = EventGatherer::default();
         pixels.into_iter().for_each(|events| gathered.pixel(events));
         gathered.finish()
     }
@@ -30,7 +30,7 @@ impl PixelEvents {
     }
 
     /// The events of a pixel (`y * width + x`).
-    pub fn of(&self, pixel: usize) -> &[PixelEvent] {
+    pub fn of_pixel(&self, pixel: usize) -> &[PixelEvent] {
         let (from, to) = self.of[pixel];
         &self.all[from..to]
     }
@@ -57,7 +57,7 @@ impl PixelEvents {
 
     /// The same without those of some pixels.
     #[must_use]
-    pub fn without(&self, pixels: &[u32]) -> PixelEvents {
+    pub fn without_pixels(&self, pixels: &[u32]) -> PixelEvents {
         let mut of = (*self.of).clone();
         pixels.iter().for_each(|&pixel| of[pixel as usize] = (0, 0));
         let count = of.iter().map(|(from, to)| to - from).sum();
@@ -67,19 +67,20 @@ impl PixelEvents {
 
 impl PartialEq for PixelEvents {
     fn eq(&self, other: &PixelEvents) -> bool {
-        self.pixels() == other.pixels() && (0..self.pixels()).all(|pixel| self.of(pixel) == other.of(pixel))
+        self.pixels() == other.pixels()
+            && (0..self.pixels()).all(|pixel| self.of_pixel(pixel) == other.of_pixel(pixel))
     }
 }
 
-/// [`PixelEvents`] in the making, pixel after pixel: nothing but the events themselves is held.
+/// Builder of [`PixelEvents`], pixel by pixel; only the events themselves are kept.
 #[derive(Debug, Default)]
-pub(crate) struct Gathered {
+pub(crate) struct EventGatherer {
     of: Vec<(usize, usize)>,
     all: Vec<PixelEvent>,
 }
 
-impl Gathered {
-    /// Makes room for so many more events.
+impl EventGatherer {
+    /// Reserves memory for more events.
     pub(crate) fn reserve(&mut self, events: usize) {
         self.all.reserve_exact(events);
     }
@@ -149,7 +150,7 @@ impl CaseFrames {
     }
 
     /// The values of a pixel, frame by frame.
-    pub fn of_pixel(&self, pixel: usize) -> impl Iterator<Item = f32> + '_ {
+    pub fn values_of_pixel(&self, pixel: usize) -> impl Iterator<Item = f32> + '_ {
         (0..self.times.len()).map(move |frame| self.dn(frame, pixel))
     }
 
@@ -159,13 +160,13 @@ impl CaseFrames {
     }
 
     /// Every so manyth of [`CaseFrames::values`].
-    pub fn every(&self, step: usize) -> impl Iterator<Item = f32> + '_ {
+    pub fn every_nth(&self, step: usize) -> impl Iterator<Item = f32> + '_ {
         (0..self.len()).step_by(step).map(move |at| self.dn(at / self.pixels, at % self.pixels))
     }
 
     /// Some neighbouring frames.
     #[must_use]
-    pub fn part(&self, of: Range<usize>) -> CaseFrames {
+    pub fn frame_range(&self, of: Range<usize>) -> CaseFrames {
         let (pixels, frames) = &self.is_left_out;
         let frames = if frames.is_empty() { frames.clone() } else { Arc::new(frames[of.clone()].to_vec()) };
         let chosen: Vec<usize> = of.clone().collect();
@@ -180,7 +181,7 @@ impl CaseFrames {
     /// The same with the values of some pixels not known.
     #[must_use]
     pub fn without_pixels(&self, pixels: &[u32]) -> CaseFrames {
-        let mut is_left_out = marked(&self.is_left_out.0, self.pixels);
+        let mut is_left_out = mark_more(&self.is_left_out.0, self.pixels);
         pixels.iter().for_each(|&pixel| is_left_out[pixel as usize] = true);
         CaseFrames { is_left_out: (Arc::new(is_left_out), self.is_left_out.1.clone()), ..self.clone() }
     }
@@ -188,7 +189,7 @@ impl CaseFrames {
     /// The same with some frames not known.
     #[must_use]
     pub fn without_frames(&self, frames: impl IntoIterator<Item = usize>) -> CaseFrames {
-        let mut is_left_out = marked(&self.is_left_out.1, self.times.len());
+        let mut is_left_out = mark_more(&self.is_left_out.1, self.times.len());
         frames.into_iter().for_each(|frame| is_left_out[frame] = true);
         CaseFrames { is_left_out: (self.is_left_out.0.clone(), Arc::new(is_left_out)), ..self.clone() }
     }
@@ -213,7 +214,7 @@ impl PartialEq for CaseFrames {
     }
 }
 
-fn marked(already: &[bool], count: usize) -> Vec<bool> {
+fn mark_more(already: &[bool], count: usize) -> Vec<bool> {
     if already.is_empty() { vec![false; count] } else { already.to_vec() }
 }
 
@@ -235,18 +236,21 @@ mod tests {
             assert!(is_left_out || dn == frames.dn(frame, pixel));
         }
         assert!(Arc::ptr_eq(&rest.all, &frames.all));
-        let part = rest.part(2..6);
+        let part = rest.frame_range(2..6);
         assert!(Arc::ptr_eq(&part.all, &frames.all) && part.len() == 4 * pixels);
-        assert!(part.of_pixel(8).map(f32::is_nan).eq([false, false, true, false]));
+        assert!(part.values_of_pixel(8).map(f32::is_nan).eq([false, false, true, false]));
         assert_eq!(part.dn(3, 8), frames.dn(5, 8));
-        assert!(part.every(5).map(f32::to_bits).eq(part.values().step_by(5).map(f32::to_bits)));
-        let events = case.events.without(&[3, 50]);
+        assert!(part.every_nth(5).map(f32::to_bits).eq(part.values().step_by(5).map(f32::to_bits)));
+        let events = case.events.without_pixels(&[3, 50]);
         assert!(
             Arc::ptr_eq(&events.all, &case.events.all)
-                && events.of(3).is_empty()
-                && events.of(4) == case.events.of(4)
+                && events.of_pixel(3).is_empty()
+                && events.of_pixel(4) == case.events.of_pixel(4)
         );
-        assert_eq!(events.len(), case.events.len() - case.events.of(3).len() - case.events.of(50).len());
+        assert_eq!(
+            events.len(),
+            case.events.len() - case.events.of_pixel(3).len() - case.events.of_pixel(50).len()
+        );
         assert_eq!((events.iter().count(), events.count(0..pixels)), (events.len(), events.len()));
     }
 }

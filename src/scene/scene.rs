@@ -1,37 +1,37 @@
-//! The scene of a recording, whoever states it: a moving picture, patches of it, a known target, known light.
+//! The trait of scenes: a moving picture, patches of it, a known target, known light.
 
 use crate::block::Block;
 use crate::case::Case;
-use crate::gate::Gate;
-use crate::light::Light;
+use crate::gate::PredictionGate;
+use crate::light::LogLight;
 use crate::nominal::Nominal;
 use crate::statistics::median;
 use rayon::prelude::*;
 use std::any::Any;
 
 /// A part of the scene and a cell of it.
-pub type Cell = (u32, i64, i64);
+pub type SceneCell = (u32, i64, i64);
 
-/// How far frame values may miss a scene for reasons of the scene itself, DN.
+/// Allowance for frame errors that are due to the scene itself, DN.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tolerance {
+pub struct FrameTolerance {
     /// Any value.
     pub any_dn: f64,
-    /// What neighbouring values miss in the same way.
+    /// Allowance for errors common to neighbouring values.
     pub alike_dn: f64,
 }
 
-/// A scene that frames (or the user) state without the events that are to be explained.
+/// A scene that is estimated from frames, or stated by the user, without the events to be explained.
 pub trait Scene: Sync {
     /// In a word, for reports.
     fn name(&self) -> &'static str;
 
     /// Natural logarithm of the photocurrent of some pixels (`y * width + x`) at the instants of
-    /// [`Light::blank`], steps in ns; empty where it is not known.
+    /// [`LogLight::blank`], steps in ns; empty where it is not known.
     fn log_light(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>>;
 
-    /// How many exposures recorded the place of the scene that lies on each of some pixels, at the same
-    /// instants; empty where the scene stands without frames.
+    /// Number of exposures that recorded the place of the scene at each of some pixels, at the same instants;
+    /// empty where the scene is known without frames.
     fn exposures_seen(&self, _case: &Case, _step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
         vec![Vec::new(); pixels.len()]
     }
@@ -47,13 +47,12 @@ pub trait Scene: Sync {
     /// explains it.
     fn misfit(&self) -> f64;
 
-    /// How far frame values may miss it; none where it stands without the recording's frames, so that effects
-    /// of frames show in their values and not in the
-    /// light that frames imply.
-    fn tolerance(&self) -> Option<Tolerance>;
+    /// Allowance for frame errors of the scene; `None` where it is known without the recording's frames.
+    /// Effects of frames then show in frame values and not in the light that frames imply.
+    fn tolerance(&self) -> Option<FrameTolerance>;
 
     /// The part of the scene that lies on a pixel at an instant, ns, and the place in it, pixels.
-    fn place(&self, case: &Case, pixel: usize, t_ns: i64) -> (u32, f64, f64);
+    fn part_and_place(&self, case: &Case, pixel: usize, t_ns: i64) -> (u32, f64, f64);
 
     /// The same scene fitted anew to another recording of it.
     ///
@@ -73,7 +72,7 @@ pub trait Scene: Sync {
         seed: u64,
     ) -> Result<Option<Box<dyn Scene>>, String>;
 
-    /// Itself, for what only one kind of scene has; none of kinds that have nothing of the sort.
+    /// Itself, for downcasts to a kind of scene; `None` where no kind needs that.
     fn as_any(&self) -> Option<&dyn Any> {
         None
     }
@@ -86,29 +85,29 @@ pub trait Scene: Sync {
 
 /// A scene in closed form with free parameters that were fitted.
 pub trait FreeParameters: Sync {
-    /// For each free parameter where it stands in its range, 0 to 1, and the step of its derivatives, a share
-    /// of the range, away from the nearer end.
+    /// Each free parameter's place in its range, 0 to 1, and the step of its derivatives, a share of the
+    /// range, away from the nearer end.
     fn free(&self) -> Vec<(f64, f64)>;
 
     /// The light of some pixels (of all where there is no list) with free parameters moved by shares of their
     /// ranges; none where they make no scene.
-    fn moved(&self, case: &Case, step_ns: i64, pixels: Option<&[u32]>, by: &[f64]) -> Option<Light>;
+    fn moved_light(&self, case: &Case, step_ns: i64, pixels: Option<&[u32]>, by: &[f64]) -> Option<LogLight>;
 }
 
 impl dyn Scene + '_ {
-    /// Does it stand without the recording's frames?
+    /// Is it known without the recording's frames?
     pub fn is_known(&self) -> bool {
         self.tolerance().is_none()
     }
 
     /// Log photocurrent of every pixel at steady instants; empty where it is not known.
-    pub fn light(&self, case: &Case, step_ns: i64) -> Light {
-        self.light_of(case, step_ns, &Block::all(case.extent))
+    pub fn light(&self, case: &Case, step_ns: i64) -> LogLight {
+        self.light_of(case, step_ns, &Block::whole_array(case.extent))
     }
 
     /// The same of a block of pixels; empty elsewhere.
-    pub(crate) fn light_of(&self, case: &Case, step_ns: i64, block: &Block) -> Light {
-        let mut light = Light::blank(case, step_ns);
+    pub(crate) fn light_of(&self, case: &Case, step_ns: i64, block: &Block) -> LogLight {
+        let mut light = LogLight::blank(case, step_ns);
         let pixels: Vec<usize> = block.pixels(case.extent).iter().map(|pixel| *pixel as usize).collect();
         let rows = pixels.par_chunks(block.width.max(1));
         let log: Vec<Vec<f32>> = rows.flat_map(|row| self.log_light(case, step_ns, row)).collect();
@@ -116,7 +115,7 @@ impl dyn Scene + '_ {
         light
     }
 
-    /// The frames that this scene gives, DN as [frame][y][x]; NaN where it does not reach.
+    /// Frames predicted by this scene, DN as [frame][y][x]; NaN outside of it.
     pub fn frames(&self, case: &Case) -> Vec<f32> {
         let pixels = case.extent.pixels();
         let of =
@@ -124,18 +123,17 @@ impl dyn Scene + '_ {
         self.residual().iter().enumerate().map(of).collect()
     }
 
-    /// Which events count: those whose frames it predicts to `least_dn`, or to so many median absolute
-    /// deviations.
-    pub fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
-        self.tolerance().map_or_else(Gate::open, |Tolerance { any_dn, alike_dn }| {
-            Gate::new(case, self.residual(), (f64::max(least_dn, any_dn), alike_dn), spread)
+    /// The gate of events: frames must be predicted to `least_dn`, or to `spread` median absolute deviations.
+    pub fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> PredictionGate {
+        self.tolerance().map_or_else(PredictionGate::accept_all, |FrameTolerance { any_dn, alike_dn }| {
+            PredictionGate::new(case, self.residual(), (f64::max(least_dn, any_dn), alike_dn), spread)
         })
     }
 
-    /// The cell of `side` pixels that lies on a pixel at an instant, ns: what is wrong with the scene is
-    /// alike in all pixels on one cell.
-    pub fn cell(&self, case: &Case, pixel: usize, t_ns: i64, side: f64) -> Cell {
-        let (part, x, y) = self.place(case, pixel, t_ns);
+    /// The cell of `side` pixels at a pixel at an instant, ns: errors of the scene are common to all pixels
+    /// on one cell.
+    pub fn cell(&self, case: &Case, pixel: usize, t_ns: i64, side: f64) -> SceneCell {
+        let (part, x, y) = self.part_and_place(case, pixel, t_ns);
         (part, (x / side).floor() as i64, (y / side).floor() as i64)
     }
 }
@@ -145,12 +143,12 @@ impl dyn Scene + '_ {
 /// are small enough for its events.
 pub const STEP: f64 = 0.15;
 
-/// What [`STEP`] of a threshold is of a usual frame value, DN.
+/// [`STEP`] of a threshold as a change of a usual frame value, DN.
 pub(crate) fn usual_step_dn(case: &Case, nominal: &Nominal) -> f64 {
     let mut signals: Vec<f64> = case
         .frames
         .iter()
-        .flat_map(|frames| frames.every(7))
+        .flat_map(|frames| frames.every_nth(7))
         .map(|dn| f64::from(dn) - nominal.number.black_level)
         .collect();
     signals.retain(|signal| *signal > 0.0);

@@ -1,6 +1,6 @@
 //! Order statistics, and medians of distributions.
 
-/// Degrees of freedom of the Student-t distribution of what events miss their thresholds by.
+/// Degrees of freedom of the Student-t distribution of event misfits.
 pub const NU: f64 = 3.0;
 /// The median of its absolute value, in units of its scale.
 pub const MEDIAN_T: f64 = 0.765;

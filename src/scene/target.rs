@@ -1,18 +1,18 @@
-//! A known target: a scene in closed form whose free parameters are fitted to the frames, with what
-//! the frames leave open of them.
+//! A known target: a scene in closed form whose free parameters are fitted to the frames, with their
+//! posterior errors.
 //!
-//! The fit is damped Gauss-Newton with robust weights (Student's t) on a sample of the frame values, each the
-//! mean of the scene over its row's exposure, from the best places of a search
-//! of the parameters' ranges or from where it stands. What the frames leave open, and what an effect of the
-//! sensor put into the fit, is fitted with every effect: the
-//! derivative of every residual by each free parameter ([`FreeParameters`]).
+//! The fit is damped Gauss-Newton with robust weights (Student's t) on a sample of the frame values. Each of
+//! these is the mean of the scene over its row's exposure. It starts at the best places of a search over the
+//! parameters' ranges, or at a given place. The parameters' errors, and the part of a sensor effect that they
+//! absorbed, are fitted with every effect by the derivative of every residual by each free parameter
+//! ([`FreeParameters`]).
 
 use crate::case::Case;
 use crate::closed::ClosedScene;
 use crate::known::KnownLight;
-use crate::light::{Knots, Light};
+use crate::light::{LightKnots, LogLight};
 use crate::nominal::Nominal;
-use crate::scene::{FreeParameters, Scene, Tolerance};
+use crate::scene::{FrameTolerance, FreeParameters, Scene};
 use nalgebra::{DMatrix, DVector};
 use photocurrent_core::random::Random;
 use photocurrent_sensor::conditional::at_each;
@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// Scenes in closed form that differ by some free parameters.
-pub trait Form: Send + Sync {
+pub trait TargetForm: Send + Sync {
     /// Number of free parameters.
     fn count(&self) -> usize;
 
@@ -54,7 +54,7 @@ impl Default for TargetSetting {
 
 /// One frame value that is fitted.
 #[derive(Clone, Copy)]
-struct Measured {
+struct MeasuredValue {
     x: f64,
     y: f64,
     start_ns: i64,
@@ -66,7 +66,7 @@ struct Measured {
 const FRAME_NOISE: (f64, f64) = (1.0, 0.01);
 /// Degrees of freedom of their errors.
 const NU: f64 = 3.0;
-/// Values that the search looks at.
+/// Number of frame values in the search.
 const SEARCHED: usize = 400;
 /// Starting places that are fitted.
 const BEST: usize = 8;
@@ -74,17 +74,17 @@ const BEST: usize = 8;
 const ROUNDS: usize = 40;
 /// Step of the derivatives, as a share of a range.
 const STEP: f64 = 1e-4;
-/// The scene moves by so many pixels at most between two instants of an exposure that are evaluated, of at
-/// least and at most so many.
+/// Largest motion, pixels, between two evaluated instants of an exposure, and the least and largest number of
+/// instants.
 const INSTANT_PX: f64 = 0.4;
 /// See there.
 const INSTANTS: (usize, usize) = (4, 96);
-/// Instants that the search looks at.
+/// Number of instants in the search.
 const ROUGH: usize = 4;
 
 /// A target fitted to frames.
-pub struct Target {
-    form: Arc<dyn Form>,
+pub struct FittedTarget {
+    form: Arc<dyn TargetForm>,
     setting: TargetSetting,
     shares: Vec<f64>,
     /// Triangular root of the covariance that the frames leave, shares.
@@ -94,25 +94,25 @@ pub struct Target {
     light: KnownLight,
 }
 
-/// What a target is fitted to.
-struct Fit<'a> {
-    form: &'a dyn Form,
+/// Data of a target's fit.
+struct TargetFit<'a> {
+    form: &'a dyn TargetForm,
     nominal: &'a Nominal,
-    measured: Vec<Measured>,
+    measured: Vec<MeasuredValue>,
 }
 
 /// Weighted sums of a round.
-struct Round {
+struct WeightedSums {
     normal: DMatrix<f64>,
     right: DVector<f64>,
 }
 
-impl Fit<'_> {
+impl TargetFit<'_> {
     /// Residuals in standard deviations; none where the parameters make no scene.
-    fn residuals(&self, shares: &[f64], measured: &[Measured], is_rough: bool) -> Option<Vec<f64>> {
+    fn residuals(&self, shares: &[f64], measured: &[MeasuredValue], is_rough: bool) -> Option<Vec<f64>> {
         let scene = self.form.at(shares)?;
         let number = self.nominal.number;
-        let of = |one: &Measured| {
+        let of = |one: &MeasuredValue| {
             let length = (one.end_ns - one.start_ns) as f64;
             let wanted = (length * scene.speed(one.x, one.y) / INSTANT_PX) as usize;
             let count = if is_rough { ROUGH } else { wanted.clamp(INSTANTS.0, INSTANTS.1) };
@@ -125,13 +125,13 @@ impl Fit<'_> {
     }
 
     /// Minus the log density of Student's t.
-    fn cost(&self, shares: &[f64], measured: &[Measured], is_rough: bool) -> f64 {
+    fn cost(&self, shares: &[f64], measured: &[MeasuredValue], is_rough: bool) -> f64 {
         self.residuals(shares, measured, is_rough).map_or(f64::INFINITY, |left| {
             left.iter().map(|z| 0.5 * (NU + 1.0) * libm::log1p(z * z / NU)).sum()
         })
     }
 
-    fn round(&self, at: &[f64], measured: &[Measured]) -> Option<Round> {
+    fn round(&self, at: &[f64], measured: &[MeasuredValue]) -> Option<WeightedSums> {
         let n = at.len();
         let now = self.residuals(at, measured, false)?;
         let mut columns = Vec::with_capacity(n);
@@ -146,20 +146,20 @@ impl Fit<'_> {
         let sum = |a: &[f64], b: &[f64]| -> f64 {
             a.iter().zip(b).zip(&weights).map(|((a, b), w)| a * b * w).sum()
         };
-        Some(Round {
+        Some(WeightedSums {
             normal: DMatrix::from_fn(n, n, |i, j| sum(&columns[i], &columns[j])),
             right: DVector::from_fn(n, |i, _| -sum(&columns[i], &now)),
         })
     }
 
     /// Damped Gauss-Newton from a place.
-    fn descend(&self, from: &[f64], measured: &[Measured]) -> (f64, Vec<f64>) {
+    fn descend(&self, from: &[f64], measured: &[MeasuredValue]) -> (f64, Vec<f64>) {
         let n = from.len();
         let mut at = from.to_vec();
         let mut cost = self.cost(&at, measured, false);
         let mut damping = 1e-3;
         for _ in 0..ROUNDS {
-            let Some(Round { normal, right }) = self.round(&at, measured) else { break };
+            let Some(WeightedSums { normal, right }) = self.round(&at, measured) else { break };
             let mut is_better = false;
             for _ in 0..8 {
                 let mut damped = normal.clone();
@@ -182,8 +182,8 @@ impl Fit<'_> {
         (cost, at)
     }
 
-    /// Every so many of the frame values that about `count` are left.
-    fn thinned(&self, count: usize) -> Vec<Measured> {
+    /// A subset of about `count` frame values, evenly spaced.
+    fn thinned(&self, count: usize) -> Vec<MeasuredValue> {
         self.measured.iter().step_by(self.measured.len().div_ceil(count).max(1)).copied().collect()
     }
 
@@ -209,7 +209,7 @@ impl Fit<'_> {
     }
 
     /// Triangular root of the covariance at a place, and the median residual.
-    fn open(&self, at: &[f64]) -> (DMatrix<f64>, f64) {
+    fn covariance_root(&self, at: &[f64]) -> (DMatrix<f64>, f64) {
         let n = at.len();
         let mut left: Vec<f64> =
             self.residuals(at, &self.measured, false).unwrap_or_default().iter().map(|z| z.abs()).collect();
@@ -232,16 +232,16 @@ impl Fit<'_> {
 /// Standard deviation of a parameter within its range, as a share, before the frames.
 const OPEN: f64 = 0.3;
 
-fn measured(case: &Case, nominal: &Nominal, values: usize) -> Vec<Measured> {
+fn measured(case: &Case, nominal: &Nominal, values: usize) -> Vec<MeasuredValue> {
     let Some(times) = case.frames.as_ref().map(|frames| &frames.times) else { return Vec::new() };
     let all = times.len() * case.extent.pixels();
     let step = all.div_ceil(values.max(1)).max(1);
     let of = |k: usize| {
         let (l, pixel) = (k / case.extent.pixels(), k % case.extent.pixels());
-        let (x, y) = case.place(pixel);
+        let (x, y) = case.pixel_place(pixel);
         let (dn, exposure) = (case.dn(l, pixel), times.exposure(l, y));
         let counts = dn.is_finite() && dn < nominal.saturation_dn;
-        counts.then_some(Measured {
+        counts.then_some(MeasuredValue {
             x: x.into(),
             y: y.into(),
             start_ns: exposure.start.0,
@@ -255,45 +255,45 @@ fn measured(case: &Case, nominal: &Nominal, values: usize) -> Vec<Measured> {
         .collect()
 }
 
-impl Target {
+impl FittedTarget {
     /// Fits one to a recording's frames, all of the ranges searched; none where its parameters make no scene.
     pub fn fit(
         case: &Case,
         nominal: &Nominal,
-        form: Arc<dyn Form>,
+        form: Arc<dyn TargetForm>,
         setting: TargetSetting,
-    ) -> Option<Target> {
-        let fit = Fit { form: &*form, nominal, measured: measured(case, nominal, setting.values) };
+    ) -> Option<FittedTarget> {
+        let fit = TargetFit { form: &*form, nominal, measured: measured(case, nominal, setting.values) };
         let from = fit.search(&setting);
-        Target::from(&fit, case, nominal, &form, setting, &from)
+        FittedTarget::from(&fit, case, nominal, &form, setting, &from)
     }
 
-    /// Fits one from a place, shares of ranges, to which nothing is searched; none where its parameters make
-    /// no scene.
-    pub fn near(
+    /// Fits a target from a place (shares of ranges), without a search; `None` where its parameters make no
+    /// scene.
+    pub fn fit_near(
         case: &Case,
         nominal: &Nominal,
-        form: Arc<dyn Form>,
+        form: Arc<dyn TargetForm>,
         setting: TargetSetting,
         from: &[f64],
-    ) -> Option<Target> {
-        let fit = Fit { form: &*form, nominal, measured: measured(case, nominal, setting.values) };
-        Target::from(&fit, case, nominal, &form, setting, from)
+    ) -> Option<FittedTarget> {
+        let fit = TargetFit { form: &*form, nominal, measured: measured(case, nominal, setting.values) };
+        FittedTarget::from(&fit, case, nominal, &form, setting, from)
     }
 
     fn from(
-        fit: &Fit<'_>,
+        fit: &TargetFit<'_>,
         case: &Case,
         nominal: &Nominal,
-        form: &Arc<dyn Form>,
+        form: &Arc<dyn TargetForm>,
         setting: TargetSetting,
         from: &[f64],
-    ) -> Option<Target> {
+    ) -> Option<FittedTarget> {
         let shares = if from.is_empty() { Vec::new() } else { fit.descend(from, &fit.measured).1 };
-        let (root, left) = fit.open(&shares);
+        let (root, left) = fit.covariance_root(&shares);
         let light = all_knots(&*form.at(&shares)?, case);
         let light = KnownLight::new(case, nominal, light.into());
-        Some(Target { form: form.clone(), setting, shares, root, left, light })
+        Some(FittedTarget { form: form.clone(), setting, shares, root, left, light })
     }
 
     /// The free parameters as shares of their ranges.
@@ -301,27 +301,27 @@ impl Target {
         &self.shares
     }
 
-    /// What the frames leave open of each, standard deviations, shares of ranges.
+    /// Posterior standard deviations of the free parameters, shares of their ranges.
     pub fn errors(&self) -> Vec<f64> {
         (0..self.shares.len()).map(|k| self.root.row(k).norm()).collect()
     }
 
     /// Median residual of the fitted frame values, standard deviations: 0.67 is noise alone.
-    pub fn left(&self) -> f64 {
+    pub fn median_residual(&self) -> f64 {
         self.left
     }
 }
 
 /// The light of every pixel of a recording.
-fn all_knots(scene: &dyn ClosedScene, case: &Case) -> Vec<Knots> {
+fn all_knots(scene: &dyn ClosedScene, case: &Case) -> Vec<LightKnots> {
     let of = |pixel: usize| {
-        let (x, y) = case.place(pixel);
+        let (x, y) = case.pixel_place(pixel);
         scene.knots(x.into(), y.into(), case.span)
     };
     (0..case.extent.pixels()).into_par_iter().map(of).collect()
 }
 
-impl FreeParameters for Target {
+impl FreeParameters for FittedTarget {
     fn free(&self) -> Vec<(f64, f64)> {
         // Wide enough to reach across the bends of an edge.
         let step = |(share, error): (&f64, f64)| {
@@ -330,11 +330,11 @@ impl FreeParameters for Target {
         self.shares.iter().zip(self.errors()).map(step).collect()
     }
 
-    fn moved(&self, case: &Case, step_ns: i64, pixels: Option<&[u32]>, by: &[f64]) -> Option<Light> {
+    fn moved_light(&self, case: &Case, step_ns: i64, pixels: Option<&[u32]>, by: &[f64]) -> Option<LogLight> {
         let shares: Vec<f64> =
             self.shares.iter().zip(by).map(|(share, by)| (share + by).clamp(0.0, 1.0)).collect();
         let scene = self.form.at(&shares)?;
-        let mut light = Light::blank(case, step_ns);
+        let mut light = LogLight::blank(case, step_ns);
         let instants: Vec<i64> = (0..light.count).map(|n| light.instant(n)).collect();
         let every: Vec<u32>;
         let pixels = match pixels {
@@ -345,7 +345,7 @@ impl FreeParameters for Target {
             }
         };
         let of = |&pixel: &u32| -> Vec<f32> {
-            let (x, y) = case.place(pixel as usize);
+            let (x, y) = case.pixel_place(pixel as usize);
             let (t, photocurrent) = scene.knots(x.into(), y.into(), case.span);
             let mut at = Vec::with_capacity(instants.len());
             at_each(&t, &photocurrent, &instants, &mut at);
@@ -359,7 +359,7 @@ impl FreeParameters for Target {
     }
 }
 
-impl Scene for Target {
+impl Scene for FittedTarget {
     fn name(&self) -> &'static str {
         self.light.name()
     }
@@ -368,7 +368,7 @@ impl Scene for Target {
         self.light.log_light(case, step_ns, pixels)
     }
 
-    fn tolerance(&self) -> Option<Tolerance> {
+    fn tolerance(&self) -> Option<FrameTolerance> {
         self.light.tolerance()
     }
 
@@ -380,12 +380,12 @@ impl Scene for Target {
         self.light.sigma(nominal, signal)
     }
 
-    fn place(&self, case: &Case, pixel: usize, t_ns: i64) -> (u32, f64, f64) {
-        self.light.place(case, pixel, t_ns)
+    fn part_and_place(&self, case: &Case, pixel: usize, t_ns: i64) -> (u32, f64, f64) {
+        self.light.part_and_place(case, pixel, t_ns)
     }
 
     fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Scene>, String> {
-        let fitted = Target::near(case, nominal, self.form.clone(), self.setting, &self.shares);
+        let fitted = FittedTarget::fit_near(case, nominal, self.form.clone(), self.setting, &self.shares);
         Ok(Box::new(fitted.ok_or("the target's parameters make no scene")?))
     }
 

@@ -1,8 +1,8 @@
 //! Small recordings for tests: a texture of waves that drifts across an array, written out in closed form.
 
 use crate::case::{Case, CaseFrames, PixelEvent, PixelEvents};
-use crate::free::{Predicted, PredictedEvent, PredictedFrame};
-use crate::light::Light;
+use crate::free::{PixelPrediction, PredictedEvent, PredictedFrame};
+use crate::light::LogLight;
 use crate::nominal::Nominal;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Exposure, Extent, FrameTimes, Sensor};
@@ -115,16 +115,21 @@ pub(crate) fn case() -> Case {
     Case { span: (0, 60_000_000), ..texture(Extent { width: 12, height: 10 }, 7) }
 }
 
-/// What the described sensor predicts of pixels; in the middle between events, of an event that the recording
-/// does not have.
-pub(crate) fn predicted(case: &Case, nominal: &Nominal, pixels: &[u32], light: &Light) -> Vec<Predicted> {
+/// The described sensor's predictions for pixels, with an additional event midway between events that the
+/// recording does not have.
+pub(crate) fn predicted(
+    case: &Case,
+    nominal: &Nominal,
+    pixels: &[u32],
+    light: &LogLight,
+) -> Vec<PixelPrediction> {
     let times = &case.frames.as_ref().unwrap().times;
     let instants: Vec<i64> = (0..light.count).map(|k| light.instant(k)).collect();
     let of = |pixel: &u32| {
         let pixel = *pixel as usize;
         let log: Vec<f64> = light.log[pixel].iter().map(|u| f64::from(*u)).collect();
         let track = Track::new(&instants, &log, light.step_ns);
-        let events = case.events.of(pixel);
+        let events = case.events.of_pixel(pixel);
         let site = case.site(pixel, 0);
         let between: Vec<i64> =
             events.windows(2).map(|two| i64::midpoint(two[0].t_in_ns, two[1].t_in_ns)).collect();
@@ -149,7 +154,7 @@ pub(crate) fn predicted(case: &Case, nominal: &Nominal, pixels: &[u32], light: &
             slope_per_s: quiet.slope_per_s,
             rise_per_s: quiet.slope_per_s,
         };
-        let row = case.place(pixel).1;
+        let row = case.pixel_place(pixel).1;
         let frame = |l: usize| {
             let exposure = times.exposure(l, row);
             let dn = nominal.number.of(track.collected_in(exposure));
@@ -160,7 +165,7 @@ pub(crate) fn predicted(case: &Case, nominal: &Nominal, pixels: &[u32], light: &
                 signal_dn: case.dn(l, pixel),
             }
         };
-        Predicted {
+        PixelPrediction {
             low_pass: nominal.pixel.front_end,
             gain: nominal.number.gain,
             frames: (0..case.frame_count()).map(frame).collect(),

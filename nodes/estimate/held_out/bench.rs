@@ -1,11 +1,11 @@
-//! The pixels of a recording on which descriptions are tried: solved without some of their frames, which are
-//! predicted.
+//! The pixels of a recording on which descriptions are evaluated: solved without some of their frames, which
+//! are predicted.
 
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
     EventStream, Exposure, FrameBlock, FrameSequence, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan,
 };
-use photocurrent_scene::grey::{Clipped, Grey};
+use photocurrent_scene::grey::{GreyFrames, SaturatedMean};
 use photocurrent_sensor::map::estimate::{self, Choosing, FEWEST_FRAMES, HoldOut};
 use photocurrent_sensor::map::{MapGroup, MapOptions, MapProblem};
 use photocurrent_solve::co_located::CoLocated;
@@ -16,7 +16,7 @@ use photocurrent_solve::{FrontEndModel, Model, SolveOptions};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Frames that take part: at most so many in a row, those with most events.
+/// Most frames that are evaluated: consecutive ones with the most events.
 const MOST_FRAMES: usize = 25;
 /// Frames that are further apart, in usual periods, have a pause between them.
 const PAUSE: i64 = 4;
@@ -25,12 +25,12 @@ const FEW_FRAMES: usize = 10;
 /// Rows that take part, each the busiest of as many bands, and pixels of each.
 const ROWS: u32 = 24;
 const PIXELS: usize = 16;
-/// Fewer pixels decide nothing.
+/// Least number of pixels.
 const FEWEST_PIXELS: usize = 48;
 
-/// What is tried of a sensor and its clocks.
+/// A candidate for a sensor's thresholds and clocks.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Described {
+pub(super) struct CandidateDescription {
     /// Thresholds of ON and OFF, natural-log units.
     pub(super) pair: (f64, f64),
     /// How late events are, ns.
@@ -40,7 +40,7 @@ pub(super) struct Described {
 }
 
 /// Pixels of a recording that are solved without some of their frames.
-pub(super) struct Bench {
+pub(super) struct HeldOutBench {
     events: EventStream,
     frames: FrameSequence,
     values: FrameBlock,
@@ -49,7 +49,7 @@ pub(super) struct Bench {
     options: SolveOptions,
     /// Rows and their columns.
     pub(super) places: Vec<(u32, Vec<usize>)>,
-    /// What frames differ by without an event, DN.
+    /// Difference of frames without an event, DN.
     frame_dn: f64,
     /// Which frames are held out, one after the other.
     holds: Vec<HoldOut>,
@@ -57,7 +57,7 @@ pub(super) struct Bench {
     pub(super) held: usize,
 }
 
-impl Bench {
+impl HeldOutBench {
     /// Of the busiest frames of a recording; none where fewer than four lie in a row, or too few pixels have
     /// events. `late_ns` is about how late these are.
     ///
@@ -68,8 +68,8 @@ impl Bench {
         frames: &FrameSequence,
         late_ns: f64,
         anchor: f64,
-    ) -> Result<Option<Bench>, NodeError> {
-        let Some((events, frames)) = busiest(events, frames, late_ns)? else { return Ok(None) };
+    ) -> Result<Option<HeldOutBench>, NodeError> {
+        let Some((events, frames)) = busiest_run(events, frames, late_ns)? else { return Ok(None) };
         let options =
             SolveOptions { front_end: FrontEndModel::Ideal, sigma: false, ..SolveOptions::default() };
         let values = frames.read_rows(frames.rows())?;
@@ -80,7 +80,7 @@ impl Bench {
             vec![HoldOut::USUAL]
         };
         let rows = frames.meta.extent.rows();
-        let mut bench = Bench {
+        let mut bench = HeldOutBench {
             events,
             frames,
             values,
@@ -91,7 +91,7 @@ impl Bench {
             holds,
             held: 0,
         };
-        let any = Described { pair: (0.25, 0.25), late_ns, length_ns: None };
+        let any = CandidateDescription { pair: (0.25, 0.25), late_ns, length_ns: None };
         let mut unexplained = Unexplained::default();
         let places = bench.with_rows(&any, |data, _, take| {
             let mut places = Vec::new();
@@ -138,7 +138,7 @@ impl Bench {
     }
 
     /// The frames as they are exposed by a description.
-    fn meta(&self, described: &Described) -> Arc<FramesMeta> {
+    fn meta(&self, described: &CandidateDescription) -> Arc<FramesMeta> {
         let Some(length_ns) = described.length_ns else { return self.frames.meta.clone() };
         let times = &self.frames.meta.times;
         let of = |exposure: &Exposure| {
@@ -152,7 +152,7 @@ impl Bench {
         Arc::new(FramesMeta { times, ..(*self.frames.meta).clone() })
     }
 
-    fn sensor(&self, described: &Described, meta: &FramesMeta) -> Sensor {
+    fn sensor(&self, described: &CandidateDescription, meta: &FramesMeta) -> Sensor {
         let (on, off) = described.pair;
         let mut sensor = Sensor::unknown("held out");
         (sensor.comparator.threshold_on, sensor.comparator.threshold_off) = (Some(on), Some(off));
@@ -167,10 +167,11 @@ impl Bench {
         sensor
     }
 
-    /// What `work` makes of the rows: it gets memory for one, the model, and how to take one in.
+    /// Results of `work` on the rows. It receives memory for one row, the model, and a function that loads a
+    /// row.
     fn with_rows<T>(
         &self,
-        described: &Described,
+        described: &CandidateDescription,
         work: impl FnOnce(
             &mut RowData,
             &Model,
@@ -195,10 +196,10 @@ impl Bench {
         work(&mut RowData::default(), &model, &mut take)
     }
 
-    /// What `work` makes of the problems of the places, in their order.
+    /// Results of `work` on the problems of the places, in their order.
     fn with_problems<T>(
         &self,
-        described: &Described,
+        described: &CandidateDescription,
         work: impl FnOnce(&[MapProblem<'_>], &MapOptions, &mut MapGroup) -> T,
     ) -> Result<T, NodeError> {
         let meta = self.options.tracks_meta(&self.events.meta, &self.meta(described))?;
@@ -217,10 +218,10 @@ impl Bench {
         })
     }
 
-    /// What each row loses with a description, and the noise and prior that a solver then chooses: squares of
-    /// relative errors, as pictures are judged by squares; absolute values prefer too large thresholds, with
-    /// which few pixels err by much.
-    pub(super) fn losses(&self, described: &Described) -> Result<Vec<f64>, NodeError> {
+    /// Loss of each row with a description, and with the noise and prior that a solver then chooses: squared
+    /// relative errors, by which pictures are scored. Absolute values prefer too large thresholds, with which
+    /// few pixels have large errors.
+    pub(super) fn losses(&self, described: &CandidateDescription) -> Result<Vec<f64>, NodeError> {
         let squares = self.with_problems(described, |problems, options, group| {
             let choice = estimate::choose(problems, None, &Choosing::USUAL, options, group);
             let options = MapOptions { prior: choice.prior, second: choice.second, ..*options };
@@ -230,15 +231,15 @@ impl Bench {
                 let [_, squares] = estimate::prediction_errors_of(*hold, &problems, &options, group);
                 squares
             };
-            together(self.holds.iter().map(of))
+            summed_errors(self.holds.iter().map(of))
         })?;
         Ok(self.by_row(&squares))
     }
 
     /// The same of a blend of the frames before and after.
-    pub(super) fn blend(&self, described: &Described) -> Result<Vec<f64>, NodeError> {
+    pub(super) fn blend(&self, described: &CandidateDescription) -> Result<Vec<f64>, NodeError> {
         let errors = self.with_problems(described, |problems, _, _| {
-            together(self.holds.iter().map(|hold| {
+            summed_errors(self.holds.iter().map(|hold| {
                 let [_, squares] = estimate::blend_errors(*hold, problems);
                 squares
             }))
@@ -259,13 +260,13 @@ impl Bench {
 
 /// The frames in a row, without a pause among them, that have most events, in grey, and the events of their
 /// time; none where fewer than four lie so.
-fn busiest(
+fn busiest_run(
     events: &EventStream,
     frames: &FrameSequence,
     late_ns: f64,
 ) -> Result<Option<(EventStream, FrameSequence)>, NodeError> {
     let (extent, height) = (events.meta.extent, frames.meta.extent.height);
-    let Some(run) = run(events, &frames.meta.times, late_ns)? else { return Ok(None) };
+    let Some(run) = busiest_frames(events, &frames.meta.times, late_ns)? else { return Ok(None) };
     let frames = frames.select(run.collect());
     let span = frames.meta.times.span(height).unwrap_or(TimeSpan::new(0, 0));
     let late = TimeSpan::new(
@@ -273,16 +274,16 @@ fn busiest(
         span.end.0.saturating_add(late_ns as i64).saturating_add(1),
     );
     let events = events.within(Arc::new(events.meta.within(late)), late);
-    let grey = Grey::new(extent, &frames.meta, &Sensor::unknown("held out"))?;
-    let frames = grey.frames(&frames, Clipped::Mean)?;
+    let grey = GreyFrames::new(extent, &frames.meta, &Sensor::unknown("held out"))?;
+    let frames = grey.frames(&frames, SaturatedMean::Mean)?;
     Ok(Some((events, frames)))
 }
 
-/// Which frames lie in a row without a pause among them and have most events; none where fewer than four do.
+/// Consecutive frames without a pause that have most events; `None` where there are fewer than four.
 ///
 /// # Errors
 /// When events cannot be read.
-pub(crate) fn run(
+pub(crate) fn busiest_frames(
     events: &EventStream,
     times: &FrameTimes,
     late_ns: f64,
@@ -317,7 +318,7 @@ pub(crate) fn run(
 }
 
 /// Sums of the errors of each problem.
-fn together(all: impl Iterator<Item = Vec<f64>>) -> Vec<f64> {
+fn summed_errors(all: impl Iterator<Item = Vec<f64>>) -> Vec<f64> {
     let add = |mut sums: Vec<f64>, more: Vec<f64>| {
         sums.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
         sums

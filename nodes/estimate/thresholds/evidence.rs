@@ -1,21 +1,20 @@
-//! Thresholds by evidence: those with which the solver predicts frames best that it has not seen.
+//! Selects the thresholds with which the solver predicts held-out frames best.
 //!
 //! Some pixels are cut out of the recording, spread over its events, and every third of their frames is held
-//! out. Their light is solved by the MAP estimate with one pair of thresholds after the other, and what
-//! counts is how far the held-out frames are missed, the measure by which `solve/map` chooses the noise of
-//! events ([`photocurrent_sensor::map::estimate`]). Half of the pixels search: from the description's pair or
-//! from the one that the frames measured, whichever is better, over a common factor and the ratio of ON to
-//! OFF. The other half judges the one pair that was found, against the description's. The halves are tiles of
-//! 8 x 8 pixels, dealt like a chessboard; pixels of a tile see the same edges, so the standard error counts
-//! tiles and not pixels.
+//! out. Their light is estimated by MAP with each candidate pair of thresholds. The score is the error on the
+//! held-out frames, by which `solve/map` also chooses the event noise
+//! ([`photocurrent_sensor::map::estimate`]). Half of the pixels search: from the better of the description's
+//! pair and the one measured from frames, over a common factor and the ratio of ON to OFF. The other half
+//! compares the selected pair with the description's. The halves are tiles of 8 x 8 pixels in a chessboard
+//! pattern. Pixels of a tile see the same edges, so the standard error counts tiles and not pixels.
 //!
-//! Events are trusted as usual throughout: with wrong thresholds the noise that suits best is a large one,
-//! and the light then hardly follows events, whatever their thresholds. So the pair that was found must also
-//! not be clearly worse with the noise and the prior that the solver would choose for each.
+//! The usual event noise is assumed throughout: with wrong thresholds the best-fitting noise is large, and
+//! the estimate then hardly depends on events, whatever their thresholds. So the selected pair must also not
+//! be clearly worse with the noise and the prior that the solver would choose for each.
 //!
-//! Limits: a delay or a dark current that the description leaves out is partly made up for by thresholds;
-//! pixels whose event paths share photocurrent are not judged. The whole recording is used: cut a part out of
-//! a long one.
+//! Limits: thresholds partly compensate a delay or a dark current that the description lacks. Pixels whose
+//! event paths share photocurrent are not evaluated. The whole recording is used: cut a part out of a long
+//! one.
 
 use crate::estimate::In;
 use crate::solve::map::check_length;
@@ -36,15 +35,15 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Side of a tile, pixels.
 const TILE: u32 = 8;
-/// The busiest one of so many pixels may be hot, and is left away.
+/// Share of the busiest pixels, one in this many, that are excluded as possibly hot.
 const HOT: usize = 200;
-/// A half needs so many tiles: the standard error is that of so many numbers.
+/// Least number of tiles of a half: the standard error is that of as many numbers.
 const FEWEST_TILES: usize = 6;
 /// Pixels that are solved together: a fixed number, so that threads change no bit.
 const TOGETHER: usize = 32;
 /// Rows of the array that are at hand at once.
 const BLOCK_ROWS: u32 = 16;
-/// First the common factor is tried in steps of this, natural-log units, so many to each side.
+/// First steps of the common factor, natural-log units, and their number to each side.
 const WIDE_STEP: f64 = 0.35;
 const WIDE_STEPS: i32 = 3;
 /// Then both, with steps from this to that.
@@ -53,32 +52,33 @@ const FINE_STEP: f64 = 0.0125;
 /// So often, at most.
 const MOST_ROUNDS: usize = 20;
 
-/// Events and light as the solver takes them before it has looked at a recording.
+/// Noise and prior that the solver assumes before it adapts them to a recording.
 const TRUSTED: Choice = Choice { noise: Noise::USUAL, prior: Prior::USUAL, second: Some(SecondStart::USUAL) };
 
 /// ON and OFF thresholds, natural-log units.
-pub(crate) type Pair = (f64, f64);
+pub(crate) type ThresholdPair = (f64, f64);
 
-/// When other thresholds than the description's count.
+/// Rule for accepting other thresholds than the description's.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Rule {
-    /// Pixels that are looked at, at most.
+pub(crate) struct AcceptanceRule {
+    /// Most pixels that are evaluated.
     pub pixels: usize,
     /// Standard errors by which they must be better.
     pub least_z: f64,
     /// The share by which held-out frames must be missed less.
     pub least_gain: f64,
-    /// A threshold is searched up to this times and down to one part in so many of the description's.
+    /// Search range of a threshold: up to this many times the description's, and down to one part in this
+    /// many.
     pub most_factor: f64,
 }
 
-/// What the judging half says of the pair that the other half found.
+/// Comparison of the selected pair with the description's, on the other half.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Verdict {
+pub(crate) struct ThresholdVerdict {
     /// The description's.
-    pub stated: Pair,
-    /// What was found.
-    pub found: Pair,
+    pub stated: ThresholdPair,
+    /// The selected pair.
+    pub found: ThresholdPair,
     /// The share by which held-out frames are missed less with it.
     pub gain: f64,
     /// The standard error of that.
@@ -88,12 +88,12 @@ pub(crate) struct Verdict {
     pub as_solved: (f64, f64),
     /// Pixels that judged.
     pub pixels: usize,
-    /// Is it better by what the rule asks for?
+    /// Does it fulfil the rule?
     pub is_used: bool,
 }
 
-impl Verdict {
-    /// Standard errors by which what was found is better.
+impl ThresholdVerdict {
+    /// Improvement by the selected pair, standard errors.
     pub(crate) fn z(&self) -> f64 {
         z((self.gain, self.gain_sigma))
     }
@@ -110,25 +110,25 @@ impl Verdict {
     }
 }
 
-/// Searches and judges thresholds; the error within says why nothing could be judged.
+/// Selects and evaluates thresholds; the inner error is the reason why none could be evaluated.
 ///
 /// # Errors
 /// When a stream cannot be read, or the user interrupts.
-pub(crate) fn judged(
+pub(crate) fn evaluate_thresholds(
     input: &In,
     sensor: &Sensor,
-    measured: Option<Pair>,
-    rule: &Rule,
+    measured: Option<ThresholdPair>,
+    rule: &AcceptanceRule,
     cx: &Context,
-) -> Result<Result<Verdict, String>, NodeError> {
-    let mut bench = match Bench::new(input, sensor, rule)? {
+) -> Result<Result<ThresholdVerdict, String>, NodeError> {
+    let mut bench = match ThresholdBench::new(input, sensor, rule)? {
         Ok(bench) => bench,
         Err(why) => return Ok(Err(why)),
     };
     let stated = (bench.model.sensor().pixel.threshold_on, bench.model.sensor().pixel.threshold_off);
     cx.begin((2 + 2 * WIDE_STEPS as usize + 4 * MOST_ROUNDS) as u64, "pairs of thresholds");
-    let found = bench.search(stated, measured, rule.most_factor, cx)?;
-    let mut verdict = Verdict {
+    let found = bench.search_pair(stated, measured, rule.most_factor, cx)?;
+    let mut verdict = ThresholdVerdict {
         stated,
         found,
         gain: 0.0,
@@ -163,9 +163,9 @@ fn tile_sum(tiles: &[u32], values: impl Iterator<Item = f64>) -> (f64, f64) {
     (sum, libm::sqrt(squares * n / (n - 1.0)))
 }
 
-/// A value of the frames that is looked at.
+/// An evaluated value of the frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Place {
+struct FrameValuePlace {
     row: u32,
     /// Within the row.
     value: usize,
@@ -174,7 +174,11 @@ struct Place {
 }
 
 /// Pixels that have events, spread over the events: of both halves alike, in order of rows.
-fn places(events: &EventStream, lie: CoLocated, pixels: usize) -> Result<Vec<Place>, NodeError> {
+fn frame_value_places(
+    events: &EventStream,
+    lie: CoLocated,
+    pixels: usize,
+) -> Result<Vec<FrameValuePlace>, NodeError> {
     let extent = events.meta.extent;
     let mut counted: [Vec<(u32, u32, u32)>; 2] = Default::default();
     let tile = |x: u32, y: u32| (x / TILE, y / TILE);
@@ -216,7 +220,7 @@ fn places(events: &EventStream, lie: CoLocated, pixels: usize) -> Result<Vec<Pla
             );
             let (column, row) = tile(x, y);
             let value = (x * copies + within % copies) as usize;
-            places.push(Place {
+            places.push(FrameValuePlace {
                 row: y * lie.ratio + within / copies,
                 value,
                 tile: row * extent.width.div_ceil(TILE) + column,
@@ -229,12 +233,12 @@ fn places(events: &EventStream, lie: CoLocated, pixels: usize) -> Result<Vec<Pla
 }
 
 /// Pixels of a half.
-struct Half {
+struct PixelHalf {
     sample: Sample,
     tiles: Vec<u32>,
 }
 
-impl Half {
+impl PixelHalf {
     fn what_is_missing(&self) -> Option<String> {
         let tiles = self.tiles.iter().collect::<BTreeSet<_>>().len();
         let events = self.sample.events();
@@ -265,15 +269,19 @@ impl Half {
 }
 
 /// The pixels and the solver.
-struct Bench {
+struct ThresholdBench {
     model: Model,
-    searching: Half,
-    judging: Half,
+    searching: PixelHalf,
+    judging: PixelHalf,
 }
 
-impl Bench {
+impl ThresholdBench {
     /// Cuts the pixels out of the recording.
-    fn new(input: &In, sensor: &Sensor, rule: &Rule) -> Result<Result<Bench, String>, NodeError> {
+    fn new(
+        input: &In,
+        sensor: &Sensor,
+        rule: &AcceptanceRule,
+    ) -> Result<Result<ThresholdBench, String>, NodeError> {
         // Delays that the description does not state count as none.
         let has_front_end = sensor.front_end.tau_0.is_some() && sensor.front_end.alpha.is_some();
         let front_end = if has_front_end { FrontEndModel::LowPass } else { FrontEndModel::Ideal };
@@ -301,11 +309,12 @@ impl Bench {
             )));
         }
         model.inform(&input.events)?;
-        let places = places(&input.events, colours.lie, rule.pixels)?;
+        let places = frame_value_places(&input.events, colours.lie, rule.pixels)?;
         let wide = TracksMeta { extent: values_of(meta.extent, meta.colour), colour: Colour::Mono, ..meta };
         let (times, all) = (&input.frames.meta.times, meta.extent.rows());
         let span = (wide.span.start.0, wide.span.end.0);
-        let mut halves = [(); 2].map(|()| Half { sample: Sample::new(&options, span), tiles: Vec::new() });
+        let mut halves =
+            [(); 2].map(|()| PixelHalf { sample: Sample::new(&options, span), tiles: Vec::new() });
         let (mut data, mut unexplained) = (RowData::default(), Unexplained::default());
         for of_block in places.chunk_by(|a, b| a.row / BLOCK_ROWS == b.row / BLOCK_ROWS) {
             let first = of_block[0].row / BLOCK_ROWS * BLOCK_ROWS;
@@ -338,17 +347,17 @@ impl Bench {
         }
         let frame_dn = unexplained.frame_dn();
         halves.iter_mut().for_each(|half| half.sample.add_noise(frame_dn));
-        if let Some(missing) = halves.iter().find_map(Half::what_is_missing) {
+        if let Some(missing) = halves.iter().find_map(PixelHalf::what_is_missing) {
             return Ok(Err(missing));
         }
         let [searching, judging] = halves;
-        Ok(Ok(Bench { model, searching, judging }))
+        Ok(Ok(ThresholdBench { model, searching, judging }))
     }
 
     /// The noise of events and the prior that suit the searching half, with these thresholds.
-    fn choice(&mut self, thresholds: Pair) -> Choice {
+    fn choice(&mut self, thresholds: ThresholdPair) -> Choice {
         self.model.set_thresholds(thresholds);
-        let Half { sample, .. } = &self.searching;
+        let PixelHalf { sample, .. } = &self.searching;
         let choose = |problems: &[MapProblem<'_>], group: &mut MapGroup| {
             choose(problems, None, &Choosing::USUAL, &sample.options, group)
         };
@@ -357,7 +366,7 @@ impl Bench {
 
     /// The share by which the judging half is missed less with the second than with the first, and its
     /// standard error.
-    fn gain(&mut self, pairs: [(Pair, Choice); 2]) -> (f64, f64) {
+    fn gain(&mut self, pairs: [(ThresholdPair, Choice); 2]) -> (f64, f64) {
         let [first, second] = pairs.map(|(thresholds, choice)| {
             self.model.set_thresholds(thresholds);
             self.judging.errors(&self.model, &choice)
@@ -369,41 +378,42 @@ impl Bench {
     }
 
     /// How badly the searching half is predicted.
-    fn loss(&mut self, thresholds: Pair, cx: &Context) -> Result<f64, NodeError> {
+    fn loss(&mut self, thresholds: ThresholdPair, cx: &Context) -> Result<f64, NodeError> {
         self.model.set_thresholds(thresholds);
         cx.advance(1)?;
         Ok(self.searching.errors(&self.model, &TRUSTED).iter().sum())
     }
 
     /// The pair that predicts the searching half best.
-    fn search(
+    fn search_pair(
         &mut self,
-        stated: Pair,
-        measured: Option<Pair>,
+        stated: ThresholdPair,
+        measured: Option<ThresholdPair>,
         most_factor: f64,
         cx: &Context,
-    ) -> Result<Pair, NodeError> {
+    ) -> Result<ThresholdPair, NodeError> {
         let farthest = libm::log(most_factor);
-        let is_near = |pair: Pair| {
+        let is_near = |pair: ThresholdPair| {
             f64::max(libm::log(pair.0 / stated.0).abs(), libm::log(pair.1 / stated.1).abs()) <= farthest
         };
         // By a common factor and by the ratio of ON to OFF, both as logarithms.
-        let moved = |pair: Pair, (common, ratio): (f64, f64)| {
+        let moved = |pair: ThresholdPair, (common, ratio): (f64, f64)| {
             (pair.0 * libm::exp(common + 0.5 * ratio), pair.1 * libm::exp(common - 0.5 * ratio))
         };
         let mut best = (self.loss(stated, cx)?, stated);
-        let mut try_all = |pairs: &[Pair], best: &mut (f64, Pair)| -> Result<(), NodeError> {
-            for &pair in pairs.iter().filter(|pair| is_near(**pair)) {
-                let loss = self.loss(pair, cx)?;
-                if loss < best.0 {
-                    *best = (loss, pair);
+        let mut try_all =
+            |pairs: &[ThresholdPair], best: &mut (f64, ThresholdPair)| -> Result<(), NodeError> {
+                for &pair in pairs.iter().filter(|pair| is_near(**pair)) {
+                    let loss = self.loss(pair, cx)?;
+                    if loss < best.0 {
+                        *best = (loss, pair);
+                    }
                 }
-            }
-            Ok(())
-        };
+                Ok(())
+            };
         try_all(measured.as_slice(), &mut best)?;
         let begin = best.1;
-        let wide: Vec<Pair> = (-WIDE_STEPS..=WIDE_STEPS)
+        let wide: Vec<ThresholdPair> = (-WIDE_STEPS..=WIDE_STEPS)
             .filter(|n| *n != 0)
             .map(|n| moved(begin, (f64::from(n) * WIDE_STEP, 0.0)))
             .collect();

@@ -1,5 +1,5 @@
 //! Which thresholds are passed on: those of the recording where others are stated, and the stated ones where
-//! nothing says otherwise.
+//! nothing contradicts them.
 
 use super::*;
 use photocurrent_core::document::Source;
@@ -16,9 +16,9 @@ use std::collections::BTreeMap;
 const EXTENT: Extent = Extent { width: 48, height: 40 };
 const END_NS: i64 = 130_000_000;
 const PERIOD_NS: i64 = 8_000_000;
-const RIGHT: Pair = (0.2, 0.21);
+const RIGHT: ThresholdPair = (0.2, 0.21);
 
-fn sensor((on, off): Pair) -> Arc<Sensor> {
+fn sensor((on, off): ThresholdPair) -> Arc<Sensor> {
     let text = format!(
         "format = \"photocurrent-sensor/1\"\n[front_end]\ntau_0 = \"30 us\"\nalpha = \"8 ms\"\n[comparator]\n\
          threshold_on = {on}\nthreshold_off = {off}\n[readout]\nlatency_min = \"10 us\"\n\
@@ -104,7 +104,7 @@ fn wrong_thresholds_are_replaced_by_those_of_the_recording() {
         let description = sensor(stated);
         let (out, note) = run(&recorded, Some(&description));
         let passed = out.sensor.clone().unwrap();
-        let used = super::stated(&passed).unwrap();
+        let used = super::stated_thresholds(&passed).unwrap();
         let is_near = |used: f64, right: f64| (used / right - 1.0).abs() < 0.1;
         assert!(is_near(used.0, RIGHT.0) && is_near(used.1, RIGHT.1), "{factors:?}: {note}");
         // Nothing else of the description changes.
@@ -132,7 +132,7 @@ fn right_thresholds_stay_to_the_bit() {
 }
 
 #[test]
-fn without_evidence_the_description_stays_and_the_note_says_why() {
+fn without_evidence_the_description_stays_with_a_note() {
     let description = sensor((0.4, 0.4));
     let stays = |recorded: &(EventStream, FrameSequence), description: &Arc<Sensor>, why: &str| {
         let (out, note) = run(recorded, Some(description));
@@ -175,7 +175,7 @@ fn any_number_of_threads_gives_the_same_bits() {
     };
     let one = passed(1);
     assert_eq!(one, passed(3));
-    assert_ne!(stated(&one), Some((0.3, 0.25)));
+    assert_ne!(stated_thresholds(&one), Some((0.3, 0.25)));
 }
 
 #[test]

@@ -1,32 +1,32 @@
-//! What a pixel's neighbours say about its light: their tracks, carried along the motion.
+//! Predicts a pixel's light from its neighbours' tracks, carried along the motion.
 //!
-//! What passes a pixel now passed the next pixel line a moment ago, and will pass the one on the other side a
-//! moment later. So log light is read off where the path crosses the next [`LINES`] lines of pixels, backward
-//! and forward, never at the pixel itself and never more than `longest` away. How far that may be trusted is
-//! for [`Trust`](crate::refine::trust::Trust) to say: past and future must not contradict each other. Where
-//! another motion explains the place nearly as well, what that predicts is asked as well: as far as the two
-//! differ the prediction is in doubt.
+//! What passes a pixel now passed the last line of pixels a moment ago, and will pass the next one a moment
+//! later. So log light is read where the path crosses the next [`LINES`] lines of pixels, backward and
+//! forward, never at the pixel itself and never more than `longest` away. Its variance is estimated by
+//! [`PseudoMeasurements`](crate::refine::pseudo_measurement::PseudoMeasurements): past and future must agree.
+//! Where another motion explains the place nearly as well, its prediction is evaluated too, and the
+//! difference of the two is an ambiguity variance.
 
-use crate::refine::trust::Said;
+use crate::refine::pseudo_measurement::PredictedLight;
 use photocurrent_scene::film::LogTracks;
 use photocurrent_scene::flow::{Flow, MotionParams};
 
-/// Pixel lines that are looked at on either side.
+/// Lines of pixels that are evaluated on either side.
 const LINES: usize = 3;
 /// Velocities that differ by less are the same, pixels per millisecond.
 const ALIKE: f64 = 0.02;
-/// What each of them weighs.
+/// Weights of the lines.
 const LINE_WEIGHTS: [f64; LINES] = [1.0, 0.7, 0.5];
-/// Log light that past and future neighbours say; `None` where nothing moves.
+/// Log light predicted by past and future neighbours; `None` where nothing moves.
 pub(in crate::refine) fn neighbours(
     tracks: &LogTracks,
-    (flow, params, doubt): (&Flow, &MotionParams, f64),
+    (flow, params, ambiguity): (&Flow, &MotionParams, f64),
     (x, y): (usize, usize),
     span: (i64, i64),
     t_ns: i64,
-) -> Option<Said> {
-    let own = along(tracks, (&|x, y, t_ns| flow.at(x, y, t_ns), params), (x, y), span, t_ns)?;
-    if doubt == 0.0 {
+) -> Option<PredictedLight> {
+    let own = predict_along_motion(tracks, (&|x, y, t_ns| flow.at(x, y, t_ns), params), (x, y), span, t_ns)?;
+    if ambiguity == 0.0 {
         return Some(own);
     }
     let (here, there) = (flow.at(x as f64, y as f64, t_ns), flow.rival_at(x as f64, y as f64, t_ns));
@@ -35,21 +35,22 @@ pub(in crate::refine) fn neighbours(
     }
     // What explains the place as well predicts something else, perhaps; where that is that nothing moves, it
     // is the pixel's own track.
-    let rival = along(tracks, (&|x, y, t_ns| flow.rival_at(x, y, t_ns), params), (x, y), span, t_ns)
-        .map(|said| said.log)
-        .or_else(|| tracks.at(x, y, t_ns));
+    let rival =
+        predict_along_motion(tracks, (&|x, y, t_ns| flow.rival_at(x, y, t_ns), params), (x, y), span, t_ns)
+            .map(|predicted| predicted.log)
+            .or_else(|| tracks.at(x, y, t_ns));
     let apart = rival.map_or(0.0, |rival| rival - own.log);
-    Some(Said { doubt: doubt * apart * apart, ..own })
+    Some(PredictedLight { ambiguity: ambiguity * apart * apart, ..own })
 }
 
-/// Log light that past and future neighbours say along a motion.
-fn along(
+/// Log light predicted by past and future neighbours along a motion.
+fn predict_along_motion(
     tracks: &LogTracks,
     (flow, params): (&dyn Fn(f64, f64, i64) -> [f64; 2], &MotionParams),
     (x, y): (usize, usize),
     span: (i64, i64),
     t_ns: i64,
-) -> Option<Said> {
+) -> Option<PredictedLight> {
     let (fresh_ms, longest_ms) = (params.fresh.ns() as f64 * 1e-6, params.longest.ns() as f64 * 1e-6);
     let velocity = flow(x as f64, y as f64, t_ns);
     let side = |direction: f64| -> Option<(f64, f64)> {
@@ -71,15 +72,15 @@ fn along(
         (Some((past, w0)), Some((future, w1))) => {
             let share = w1 / (w0 + w1);
             let apart = future - past;
-            Some(Said {
+            Some(PredictedLight {
                 t_ns,
                 log: past + share * apart,
-                contradiction: Some(share * (1.0 - share) * apart * apart),
-                doubt: 0.0,
+                innovation: Some(share * (1.0 - share) * apart * apart),
+                ambiguity: 0.0,
             })
         }
         (Some((log, _)), None) | (None, Some((log, _))) => {
-            Some(Said { t_ns, log, contradiction: None, doubt: 0.0 })
+            Some(PredictedLight { t_ns, log, innovation: None, ambiguity: 0.0 })
         }
         (None, None) => None,
     }

@@ -4,11 +4,11 @@ use super::*;
 use crate::refine::fixtures::{
     EXTENT, GAIN, decibels, error, error_in, every_pixel_for_itself, record, sensor, solve, texture,
 };
-use crate::refine::trust::{Measured, Posed};
+use crate::refine::pseudo_measurement::{MeasuredPixel, SolverSensor};
 use crate::solve::paper::SolvePaper;
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::{EventStream, FrameSequence, TrackBand, testing};
-use photocurrent_scene::film::Fired;
+use photocurrent_scene::film::EventTimes;
 use photocurrent_sensor::map::{Hint, MapFrame};
 use photocurrent_solve::{PaperOptions, ReadoutModel};
 
@@ -69,11 +69,11 @@ fn tracks_of_light(own: f64) -> LogTracks {
         let moved = if (x, y) == (12, 8) { own } else { 0.0 };
         band.push((0..400).map(|n| (n * 100_000, libm::exp(texture(x, y, n as f64 * 0.1) + moved) as f32)));
     }
-    let fired = Fired::new((0..EXTENT.pixels()).map(|_| vec![20_000_000]));
+    let fired = EventTimes::new((0..EXTENT.pixels()).map(|_| vec![20_000_000]));
     LogTracks::new(EXTENT, band, &Arc::new(fired))
 }
 
-/// The hints of that pixel, when its frame is brighter by `brighter`.
+/// Pseudo-measurements of that pixel, with its frame brighter by `brighter`.
 fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
     let tracks = tracks_of_light(own);
     let event =
@@ -84,8 +84,8 @@ fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
     let dn = GAIN * 4e-3 * light * libm::exp(brighter);
     let frame = MapFrame { start_ns: 18_000_000, end_ns: 22_000_000, dn, sigma_dn: 0.01, saturated: false };
     let (span, flow) = ((0, 39_900_000), Flow::uniform((24, 16), velocity, velocity));
-    let model = Posed { model: photocurrent_sensor::model::Model::of(&sensor()), added: 0.0 };
-    let measured = Measured {
+    let model = SolverSensor { model: photocurrent_sensor::model::Model::of(&sensor()), added: 0.0 };
+    let measured = MeasuredPixel {
         sensor: &model,
         extent: EXTENT,
         place: (12, 8),
@@ -94,9 +94,10 @@ fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
         threshold: 0.25,
     };
     let mut hints = Vec::new();
-    let say =
+    let predict =
         |t_ns: i64| advect::neighbours(&tracks, (&flow, &MotionParams::default(), 0.5), (12, 8), span, t_ns);
-    Trust::new(&TrustParams::default()).hints(say, &tracks, span, 500_000, &measured, &mut hints);
+    PseudoMeasurements::new(&PseudoMeasurementParams::default())
+        .hints(predict, &tracks, span, 500_000, &measured, &mut hints);
     hints
 }
 
@@ -113,26 +114,26 @@ fn neighbours_along_the_motion_predict_a_pixel() {
 
 #[test]
 fn a_pixel_never_hints_itself_but_judges_its_hints() {
-    let said =
+    let predicted =
         |hints: &[Hint]| hints.iter().map(|hint| (hint.t_ns, hint.log_photocurrent)).collect::<Vec<_>>();
     let plain = hints(0.0, 0.0, [0.7, 0.2]);
-    assert_eq!(said(&plain), said(&hints(0.1, 0.0, [0.7, 0.2])));
+    assert_eq!(predicted(&plain), predicted(&hints(0.1, 0.0, [0.7, 0.2])));
     let moved = hints(0.0, 0.05, [0.7, 0.2]);
-    assert_eq!(said(&plain), said(&moved));
+    assert_eq!(predicted(&plain), predicted(&moved));
     assert!(plain.iter().zip(&moved).all(|(plain, moved)| moved.variance > plain.variance));
     // Hints that miss its frame by four thresholds are none.
     assert!(hints(0.0, 1.0, [0.7, 0.2]).is_empty());
 }
 
 #[test]
-fn motions_that_explain_a_place_as_well_leave_a_doubt() {
+fn motions_that_explain_a_place_as_well_add_an_ambiguity_variance() {
     let (tracks, span, t_ns) = (tracks_of_light(0.3), (0, 39_900_000), 20_250_000);
     let params = MotionParams::default();
-    let ask = |rival: [f32; 2], doubt: f64| {
+    let predict = |rival: [f32; 2], ambiguity: f64| {
         let flow = Flow::uniform((24, 16), [0.7, 0.2], rival);
-        advect::neighbours(&tracks, (&flow, &params, doubt), (12, 8), span, t_ns).unwrap()
+        advect::neighbours(&tracks, (&flow, &params, ambiguity), (12, 8), span, t_ns).unwrap()
     };
-    let (own, other) = (ask([0.7, 0.2], 0.5), [-0.5, 0.3]);
+    let (own, other) = (predict([0.7, 0.2], 0.5), [-0.5, 0.3]);
     let alone = advect::neighbours(
         &tracks,
         (&Flow::uniform((24, 16), other, other), &params, 0.5),
@@ -141,21 +142,21 @@ fn motions_that_explain_a_place_as_well_leave_a_doubt() {
         t_ns,
     )
     .unwrap();
-    let doubt = |log: f64| 0.5 * (log - own.log) * (log - own.log);
-    assert_eq!(own.doubt, 0.0);
-    // It is what the other says, as a difference, and nothing else changes.
-    let said = ask(other, 0.5);
-    assert_eq!((said.log, said.contradiction), (own.log, own.contradiction));
+    let ambiguity = |log: f64| 0.5 * (log - own.log) * (log - own.log);
+    assert_eq!(own.ambiguity, 0.0);
+    // It is the difference to the other prediction, and nothing else changes.
+    let predicted = predict(other, 0.5);
+    assert_eq!((predicted.log, predicted.innovation), (own.log, own.innovation));
     assert!(
-        doubt(alone.log) > 1e-3 && (said.doubt - doubt(alone.log)).abs() < 1e-12,
+        ambiguity(alone.log) > 1e-3 && (predicted.ambiguity - ambiguity(alone.log)).abs() < 1e-12,
         "{} and {}",
-        said.doubt,
-        doubt(alone.log)
+        predicted.ambiguity,
+        ambiguity(alone.log)
     );
-    // That nothing moves is what the pixel's own track says.
+    // Without motion the prediction is the pixel's own track.
     let still = tracks.at(12, 8, t_ns).unwrap();
-    assert!((ask([0.0, 0.0], 0.5).doubt - doubt(still)).abs() < 1e-12);
-    assert_eq!(ask(other, 0.0).doubt, 0.0);
+    assert!((predict([0.0, 0.0], 0.5).ambiguity - ambiguity(still)).abs() < 1e-12);
+    assert_eq!(predict(other, 0.0).ambiguity, 0.0);
 }
 
 #[test]
@@ -196,15 +197,15 @@ fn held_tracks_are_refused() {
 
 /// A texture that slides on the left, light that brightens and darkens slowly on the right.
 fn two_halves(x: usize, y: usize, ms: f64) -> f64 {
-    if x < 12 { texture(x, y, ms) } else { slow(x, y, ms) }
+    if x < 12 { texture(x, y, ms) } else { slow_scene(x, y, ms) }
 }
 
-fn slow(x: usize, y: usize, ms: f64) -> f64 {
+fn slow_scene(x: usize, y: usize, ms: f64) -> f64 {
     4.6 + 0.2 * libm::sin(0.08 * ms + 0.3 * x as f64) + 0.1 * libm::cos(0.5 * y as f64)
 }
 
 /// The same events, those of the right half turned into their opposite and three of each.
-fn spoiled(events: &EventStream) -> EventStream {
+fn spoil_right_half(events: &EventStream) -> EventStream {
     let band = events.read(EXTENT.rows()).unwrap();
     let mut all = Vec::new();
     for y in 0..EXTENT.height {
@@ -239,10 +240,10 @@ fn refine_or_fall_back(
 #[test]
 fn where_events_mislead_light_is_a_blend_of_frames_and_a_note_states_it() {
     let (events, frames) = record(two_halves);
-    let events = spoiled(&events);
+    let events = spoil_right_half(&events);
     let (without, _) = refine_or_fall_back(&events, &frames, false);
     let (with, notes) = refine_or_fall_back(&events, &frames, true);
-    let (before, after) = (error_in(12..24, &without, slow), error_in(12..24, &with, slow));
+    let (before, after) = (error_in(12..24, &without, slow_scene), error_in(12..24, &with, slow_scene));
     assert!(decibels(before, after) > 3.0, "{before} became {after}");
     let (before, after) = (error_in(0..10, &without, texture), error_in(0..10, &with, texture));
     assert!(decibels(before, after) > -0.1, "{before} became {after} where events are right");
@@ -251,7 +252,7 @@ fn where_events_mislead_light_is_a_blend_of_frames_and_a_note_states_it() {
 
 #[test]
 fn where_events_are_right_nothing_falls_back() {
-    for light in [texture as fn(usize, usize, f64) -> f64, every_pixel_for_itself, slow] {
+    for light in [texture as fn(usize, usize, f64) -> f64, every_pixel_for_itself, slow_scene] {
         let (events, frames) = record(light);
         let (without, _) = refine_or_fall_back(&events, &frames, false);
         let (with, notes) = refine_or_fall_back(&events, &frames, true);

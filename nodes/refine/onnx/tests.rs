@@ -34,7 +34,7 @@ fn event(x: u16, y: u16) -> Event {
     Event { x, y, polarity: Polarity::On, t: 10_000_000, t_in: None }
 }
 
-fn only(frames: FrameSequence) -> In {
+fn frames_only(frames: FrameSequence) -> In {
     In { frames, sigma: None, events: None, alignment: None, captured: None, sensor: None }
 }
 
@@ -50,7 +50,7 @@ fn refined(input: In) -> Vec<f32> {
     run(params(), input).unwrap().0
 }
 
-fn furthest(a: &[f32], b: &[f32]) -> f32 {
+fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
     assert_eq!(a.len(), b.len());
     a.iter().zip(b).fold(0.0, |most, (a, b)| f32::max(most, (a - b).abs()))
 }
@@ -94,9 +94,9 @@ fn networks_give_what_the_training_framework_gave() {
         let given: Vec<(&str, &Tensor)> = given.iter().map(|(input, tensor)| (*input, tensor)).collect();
         let content = std::fs::read(data(&format!("weights/{name}.onnx"))).unwrap();
         let found = crate::onnx::load(name, content, None).unwrap().run(&given, output).unwrap();
-        let off = furthest(&found.values, &expected.values);
+        let off = largest_difference(&found.values, &expected.values);
         assert!(off < 1e-5, "{name}: {off}");
-        assert!(furthest(&found.values, &given[0].1.values) > 1e-3, "{name} changes something");
+        assert!(largest_difference(&found.values, &given[0].1.values) > 1e-3, "{name} changes something");
     }
 }
 
@@ -104,8 +104,9 @@ fn networks_give_what_the_training_framework_gave() {
 fn what_is_far_from_every_event_keeps_its_bits() {
     let (before, events) = (frames(), testing::stream(EXTENT, vec![event(40, 20)]));
     let stated = before.read_rows(before.rows()).unwrap().dn;
-    let after =
-        run(Params { quiet: true, ..params() }, In { events: Some(events), ..only(before) }).unwrap().0;
+    let after = run(Params { quiet: true, ..params() }, In { events: Some(events), ..frames_only(before) })
+        .unwrap()
+        .0;
     let mut changed = 0;
     for (at, (before, after)) in stated.iter().zip(&after).enumerate() {
         let (x, y) = ((at % 75) as i32, (at / 75) as i32);
@@ -122,7 +123,7 @@ fn what_is_far_from_every_event_keeps_its_bits() {
 fn pixels_that_never_fire_keep_their_bits() {
     let (before, events) = (frames(), testing::stream(EXTENT, vec![event(40, 20), event(43, 20)]));
     let stated = before.read_rows(before.rows()).unwrap().dn;
-    let after = refined(In { events: Some(events), ..only(before) });
+    let after = refined(In { events: Some(events), ..frames_only(before) });
     let changed: Vec<usize> =
         (0..stated.len()).filter(|&at| stated[at].to_bits() != after[at].to_bits()).collect();
     assert_eq!(changed, [20 * 75 + 40, 20 * 75 + 43]);
@@ -142,11 +143,11 @@ fn events_of_another_array_are_where_its_pixels_lie() {
     let seen = |x, y| In {
         events: Some(testing::stream(array, vec![event(x, y)])),
         alignment: Some(alignment()),
-        ..only(frames())
+        ..frames_only(frames())
     };
     let rule = StepRule { threshold_on: 1.0, threshold_off: 1.0, stamp: Stamp::OffPixel, shift_ns: 0 };
-    let counts = Counts::of(&seen(20, 10), &rule).unwrap();
-    let (near, silent) = (counts.near(10_000_000, 1_000_000), counts.silent());
+    let counts = EventCounts::from_input(&seen(20, 10), &rule).unwrap();
+    let (near, silent) = (counts.counts_near(10_000_000, 1_000_000), counts.without_events());
     for (at, (near, silent)) in near.iter().zip(&silent).enumerate() {
         let (x, y) = ((at % 75) as f32, (at / 75) as f32);
         let expected =
@@ -171,7 +172,7 @@ fn values_change_by_their_standard_deviations_at_most() {
     let with = |most_sigmas| {
         run(
             Params { most_sigmas, ..params() },
-            In { sigma: Some(frames_of(EXTENT, sigma)), ..only(frames()) },
+            In { sigma: Some(frames_of(EXTENT, sigma)), ..frames_only(frames()) },
         )
         .unwrap()
         .0
@@ -185,13 +186,15 @@ fn values_change_by_their_standard_deviations_at_most() {
             assert!((f64::from(after) - expected).abs() < 1e-5, "{after} instead of {expected}");
         }
     }
-    assert!(furthest(&free, &with(1.0)) > 2.0, "the limit is felt");
+    assert!(largest_difference(&free, &with(1.0)) > 2.0, "the limit is felt");
 }
 
 #[test]
 fn events_beyond_the_window_are_none() {
-    let input =
-        || In { events: Some(testing::stream(EXTENT, vec![event(40, 20)])), ..only(frames_of(EXTENT, dn)) };
+    let input = || In {
+        events: Some(testing::stream(EXTENT, vec![event(40, 20)])),
+        ..frames_only(frames_of(EXTENT, dn))
+    };
     let late = |ns: i64| {
         testing::captured(EXTENT, vec![Exposure::new(8_000_000 + ns, 12_000_000 + ns)], 0, |_, x, y| dn(x, y))
     };
@@ -201,7 +204,7 @@ fn events_beyond_the_window_are_none() {
             .unwrap()
             .0
     };
-    assert!(furthest(&with(None, 9_000_000), &stated) > 0.0);
+    assert!(largest_difference(&with(None, 9_000_000), &stated) > 0.0);
     assert_eq!(with(None, 10_000_000), stated);
     assert_eq!(with(Some(3_000_000), 9_000_000), stated);
 }
@@ -210,13 +213,14 @@ fn events_beyond_the_window_are_none() {
 fn tiles_show_no_seams() {
     // Two tiles along each side against one; what is left is what the surroundings do not reach.
     let extent = Extent { width: 200, height: 170 };
-    let with =
-        |tile, overlap| run(Params { tile, overlap, ..params() }, only(frames_of(extent, dn))).unwrap().0;
+    let with = |tile, overlap| {
+        run(Params { tile, overlap, ..params() }, frames_only(frames_of(extent, dn))).unwrap().0
+    };
     let whole = with(256, 64);
-    let off = furthest(&with(112, 64), &whole);
+    let off = largest_difference(&with(112, 64), &whole);
     assert!(off < 0.02, "{off} DN of 200 between tiles and the whole");
     // The test can fail: without surroundings there are seams.
-    let seams = furthest(&with(112, 0), &whole);
+    let seams = largest_difference(&with(112, 0), &whole);
     assert!(seams > 10.0 * off.max(0.02), "{seams} DN without surroundings");
 }
 
@@ -233,9 +237,9 @@ fn colours_are_refined_one_after_the_other() {
     block.dn.iter_mut().enumerate().for_each(|(at, value)| {
         *value = colour((at as u32 / 3) % EXTENT.width, at as u32 / 3 / EXTENT.width, at as u32 % 3)
     });
-    let together = refined(only(FrameSequence::in_memory(Arc::new(meta), block)));
+    let together = refined(frames_only(FrameSequence::in_memory(Arc::new(meta), block)));
     for c in 0..3 {
-        let alone = refined(only(frames_of(EXTENT, |x, y| colour(x, y, c))));
+        let alone = refined(frames_only(frames_of(EXTENT, |x, y| colour(x, y, c))));
         let of_colour: Vec<f32> = together.iter().skip(c as usize).step_by(3).copied().collect();
         assert_eq!(of_colour, alone);
     }
@@ -248,28 +252,31 @@ fn a_captured_frame_of_twice_the_exposure_counts_as_half_as_bright() {
             factor * dn(y, x)
         })
     };
-    let with = |captured| refined(In { captured: Some(captured), ..only(frames()) });
+    let with = |captured| refined(In { captured: Some(captured), ..frames_only(frames()) });
     let once = with(captured(2_000_000, 1.0));
-    assert!(furthest(&once, &with(captured(4_000_000, 2.0))) < 1e-3);
-    assert!(furthest(&once, &with(captured(2_000_000, 2.0))) > 0.1, "what is captured has a say");
-    assert!(furthest(&once, &refined(only(frames()))) > 0.1);
+    assert!(largest_difference(&once, &with(captured(4_000_000, 2.0))) < 1e-3);
+    assert!(
+        largest_difference(&once, &with(captured(2_000_000, 2.0))) > 0.1,
+        "the captured frame has an effect"
+    );
+    assert!(largest_difference(&once, &refined(frames_only(frames()))) > 0.1);
 }
 
 #[test]
 fn the_standard_deviation_has_a_say() {
     let unlimited = || Params { most_sigmas: f64::INFINITY, ..params() };
     let with = |sigma: f32| {
-        run(unlimited(), In { sigma: Some(frames_of(EXTENT, move |_, _| sigma)), ..only(frames()) })
+        run(unlimited(), In { sigma: Some(frames_of(EXTENT, move |_, _| sigma)), ..frames_only(frames()) })
             .unwrap()
             .0
     };
-    assert!(furthest(&with(2.0), &with(20.0)) > 0.1);
+    assert!(largest_difference(&with(2.0), &with(20.0)) > 0.1);
     assert_eq!(with(f32::NAN), with(0.0));
 }
 
 #[test]
 fn unknown_values_stay_unknown_and_are_counted() {
-    let input = only(frames_of(EXTENT, |x, y| if (x, y) == (3, 4) { f32::NAN } else { dn(x, y) }));
+    let input = frames_only(frames_of(EXTENT, |x, y| if (x, y) == (3, 4) { f32::NAN } else { dn(x, y) }));
     let (after, notes) = run(params(), input).unwrap();
     assert_eq!(
         after.iter().enumerate().filter(|(_, dn)| dn.is_nan()).map(|(at, _)| at).collect::<Vec<_>>(),
@@ -282,11 +289,14 @@ fn unknown_values_stay_unknown_and_are_counted() {
 fn white_is_measured_where_it_is_not_stated() {
     // 1,000 values 1, 2 ... 1000: white lies above 999 of them.
     let extent = Extent { width: 40, height: 25 };
-    let (_, notes) =
-        run(Params { white: None, ..params() }, only(frames_of(extent, |x, y| (40 * y + x + 1) as f32)))
-            .unwrap();
+    let (_, notes) = run(
+        Params { white: None, ..params() },
+        frames_only(frames_of(extent, |x, y| (40 * y + x + 1) as f32)),
+    )
+    .unwrap();
     assert_eq!(notes, ["white is 1000.0 DN, below which 99.9 % of the values lie"]);
-    let error = run(Params { white: None, ..params() }, only(frames_of(extent, |_, _| 0.0))).err().unwrap();
+    let error =
+        run(Params { white: None, ..params() }, frames_only(frames_of(extent, |_, _| 0.0))).err().unwrap();
     assert_eq!(
         (error.message.as_str(), error.param.as_deref()),
         ("white, 0 DN, is not above black, 0 DN", Some("white"))
@@ -296,9 +306,9 @@ fn white_is_measured_where_it_is_not_stated() {
 #[test]
 fn one_pixel_and_no_frame_at_all_come_through() {
     let one = Extent { width: 1, height: 1 };
-    assert!(refined(only(frames_of(one, |_, _| 40.0)))[0].is_finite());
+    assert!(refined(frames_only(frames_of(one, |_, _| 40.0)))[0].is_finite());
     let none = testing::captured(one, Vec::new(), 0, |_, _, _| 0.0);
-    assert_eq!(run(Params { white: None, ..params() }, only(none)).unwrap(), (Vec::new(), Vec::new()));
+    assert_eq!(run(Params { white: None, ..params() }, frames_only(none)).unwrap(), (Vec::new(), Vec::new()));
 }
 
 #[test]
@@ -310,22 +320,27 @@ fn what_does_not_fit_is_refused_with_what_to_do() {
         (error.message.as_str(), error.hint.as_deref()),
         ("`tile` is 100, which is no multiple of 16", Some("set `tile = 112`"))
     );
-    let error = refused(Params { weights: InputPath::new("no/such.onnx"), ..params() }, only(frames()));
-    assert_eq!(error.message, "cannot read no/such.onnx: there is no such file");
     let error =
-        refused(Params { weights: InputPath::new(data("networks/blend.onnx")), ..params() }, only(frames()));
+        refused(Params { weights: InputPath::new("no/such.onnx"), ..params() }, frames_only(frames()));
+    assert_eq!(error.message, "cannot read no/such.onnx: there is no such file");
+    let error = refused(
+        Params { weights: InputPath::new(data("networks/blend.onnx")), ..params() },
+        frames_only(frames()),
+    );
     assert!(
         error.message.starts_with("blend.onnx takes ") && error.param.as_deref() == Some("weights"),
         "{}",
         error.message
     );
     let other = Extent { width: 70, height: 50 };
-    let error = refused(params(), In { sigma: Some(frames_of(other, dn)), ..only(frames()) });
+    let error = refused(params(), In { sigma: Some(frames_of(other, dn)), ..frames_only(frames()) });
     assert!(error.message.starts_with("`sigma` has 1 frames of 70 x 50 pixels"), "{}", error.message);
-    let error =
-        refused(params(), In { events: Some(testing::stream(other, vec![event(1, 1)])), ..only(frames()) });
+    let error = refused(
+        params(),
+        In { events: Some(testing::stream(other, vec![event(1, 1)])), ..frames_only(frames()) },
+    );
     assert_eq!(error.message, "the events are of 70 x 50 pixels, and the frames of 75 x 50");
-    let error = refused(params(), In { captured: Some(frames_of(other, dn)), ..only(frames()) });
+    let error = refused(params(), In { captured: Some(frames_of(other, dn)), ..frames_only(frames()) });
     assert!(error.message.starts_with("the captured frames are of 70 x 50 pixels"), "{}", error.message);
     let mosaic = frames();
     let meta = FramesMeta {
@@ -333,7 +348,7 @@ fn what_does_not_fit_is_refused_with_what_to_do() {
         ..(*mosaic.meta).clone()
     };
     let block = mosaic.read_rows(mosaic.rows()).unwrap();
-    let error = refused(params(), only(FrameSequence::in_memory(Arc::new(meta), block)));
+    let error = refused(params(), frames_only(FrameSequence::in_memory(Arc::new(meta), block)));
     assert!(error.hint.unwrap().contains("render/demosaic"));
 }
 

@@ -6,27 +6,27 @@
 /// A picture's width or height is a multiple of this for the network.
 pub const MULTIPLE: usize = 16;
 
-/// Along one side: what the network sees, and the part of it that is kept.
+/// Along one side: the network's input, and the part of its output that is kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Span {
+pub struct TileSpan {
     /// First pixel that is seen.
     pub start: usize,
     /// Pixels that are seen, a multiple of [`MULTIPLE`]; those beyond the picture repeat its border.
     pub seen: usize,
     /// First pixel that is kept.
     pub kept: usize,
-    /// End of what is kept, at most the picture's side.
+    /// End of the kept part, at most the picture's side.
     pub end: usize,
 }
 
 /// The spans of one side of a picture: `tile` kept pixels each, with `surroundings` on either side of them,
 /// both multiples of [`MULTIPLE`].
-pub fn spans(side: usize, tile: usize, surroundings: usize) -> Vec<Span> {
+pub fn spans(side: usize, tile: usize, surroundings: usize) -> Vec<TileSpan> {
     let padded = side.next_multiple_of(MULTIPLE);
     let span = |kept: usize| {
         let start = kept.saturating_sub(surroundings);
         let end = (kept + tile).min(padded);
-        Span { start, seen: (end + surroundings).min(padded) - start, kept, end: end.min(side) }
+        TileSpan { start, seen: (end + surroundings).min(padded) - start, kept, end: end.min(side) }
     };
     (0..side).step_by(tile).map(span).collect()
 }
@@ -53,7 +53,7 @@ mod tests {
 
     #[test]
     fn a_picture_that_fits_is_one_tile() {
-        assert_eq!(spans(96, 256, 48), [Span { start: 0, seen: 96, kept: 0, end: 96 }]);
-        assert_eq!(spans(90, 256, 48), [Span { start: 0, seen: 96, kept: 0, end: 90 }]);
+        assert_eq!(spans(96, 256, 48), [TileSpan { start: 0, seen: 96, kept: 0, end: 96 }]);
+        assert_eq!(spans(90, 256, 48), [TileSpan { start: 0, seen: 96, kept: 0, end: 90 }]);
     }
 }

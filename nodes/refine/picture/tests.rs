@@ -49,7 +49,7 @@ fn pictures_of_parts_of_a_long_recording_predict_the_light_where_frames_say_so()
     let nominal = photocurrent_scene::nominal::Nominal::of(&sensor());
     let pixels = EXTENT.pixels();
     let fit = |most_values: usize| {
-        Pictures::fit(
+        PredictedPictures::fit(
             &case,
             &nominal,
             &PictureSetting { most_values, ..PictureSetting::default() },
@@ -60,13 +60,14 @@ fn pictures_of_parts_of_a_long_recording_predict_the_light_where_frames_say_so()
     // All five frames at once, and two parts of four.
     for most in [5, 4] {
         let pictures = fit(most * pixels).unwrap();
-        let rows: Vec<OfRow> = (0..16).map(|row| pictures.of_row(row, 24, &[9, 11, 12, 15])).collect();
+        let rows: Vec<PredictedRowLight> =
+            (0..16).map(|row| pictures.row_light(row, 24, &[9, 11, 12, 15])).collect();
         let (mut squares, mut count) = (0.0, 0.0);
         for n in 0..60 {
             let t_ns = 4_000_000 + n * 500_000;
             for (x, y) in [(12, 8), (9, 6), (15, 9), (11, 11)] {
-                if let Some(said) = pictures.predict(&rows[y], (x, y), t_ns) {
-                    let off = said.log - texture(x, y, t_ns as f64 * 1e-6);
+                if let Some(predicted) = pictures.predict(&rows[y], (x, y), t_ns) {
+                    let off = predicted.log - texture(x, y, t_ns as f64 * 1e-6);
                     (squares, count) = (squares + off * off, count + 1.0);
                 }
             }
@@ -75,7 +76,7 @@ fn pictures_of_parts_of_a_long_recording_predict_the_light_where_frames_say_so()
         assert!(count > 120.0 && rms < 0.03, "{most} frames at a time: {rms} of {count}");
         assert!(
             pictures.predict(&rows[8], (12, 8), 60_000_000).is_none(),
-            "nothing is said after the last frame"
+            "nothing is predicted after the last frame"
         );
     }
     assert!(fit(2 * pixels).err().unwrap().contains("2 are fitted at a time"));

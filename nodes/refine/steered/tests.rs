@@ -101,7 +101,7 @@ fn still_pixels_stay_bit_by_bit_next_to_moving_ones() {
 }
 
 #[test]
-fn an_unknown_pixel_stays_unknown_and_is_not_asked() {
+fn an_unknown_pixel_stays_unknown_and_is_skipped() {
     let rough = tracks(texture, 0.02);
     let band = rough.read(EXTENT.rows()).unwrap();
     let mut holed = TrackBand::begin(0, EXTENT.width);
@@ -113,7 +113,7 @@ fn an_unknown_pixel_stays_unknown_and_is_not_asked() {
     }
     let after = steer(&TrackSet::in_memory(rough.meta.clone(), holed)).read(EXTENT.rows()).unwrap();
     assert!(after.pixel(12, 8).t.is_empty());
-    // Its neighbour is not drawn towards a light that nobody knows; what is left is noise of 0.02, at most
+    // Its neighbour is not drawn towards an unknown light; what is left is noise of 0.02, at most
     // five times.
     let edge = after.pixel(13, 8);
     let off = |k: usize| {
@@ -123,7 +123,7 @@ fn an_unknown_pixel_stays_unknown_and_is_not_asked() {
 }
 
 /// What the paper's solver makes of the recording of a texture: held tracks.
-fn held() -> TrackSet {
+fn held_tracks() -> TrackSet {
     let (events, frames) = record(texture);
     let node = SolvePaper::build(PaperOptions { evs_weight: 1000.0, ..PaperOptions::default() }).unwrap();
     let input = crate::solve::In { events, frames, sensor: sensor() };
@@ -147,14 +147,14 @@ fn held_error(tracks: &TrackSet) -> f64 {
 
 #[test]
 fn what_the_papers_solver_gives_does_not_get_worse() {
-    let rough = held();
+    let rough = held_tracks();
     let gain = decibels(held_error(&rough), held_error(&steer(&rough)));
     assert!(gain > 0.0, "{gain} dB");
 }
 
 #[test]
 fn neither_threads_nor_bands_change_a_bit() {
-    for tracks in [held(), tracks(edge, 0.05)] {
+    for tracks in [held_tracks(), tracks(edge, 0.05)] {
         let with = |threads: usize| {
             rayon::ThreadPoolBuilder::new()
                 .num_threads(threads)
@@ -174,7 +174,7 @@ fn neither_threads_nor_bands_change_a_bit() {
 
 #[test]
 fn the_mean_of_a_hold_is_its_integral() {
-    let film = Film {
+    let film = RowFilm {
         rows: EXTENT.rows(),
         width: 24,
         start_ns: 0,
@@ -194,7 +194,7 @@ fn the_mean_of_a_hold_is_its_integral() {
         (10, 10, 2.0),
         (25, 40, -25.0 / 15.0),
     ] {
-        let mean = film.mean(&values, from, to);
+        let mean = film.mean_over_span(&values, from, to);
         assert!((mean - expected).abs() < 1e-12, "{from} to {to}: {mean}, not {expected}");
     }
 }

@@ -351,7 +351,7 @@ def read(file):
 
 
 def brought(counts, places, shape):
-    """Counts [row, column] of an event array's pixels at the pixels of frames of a shape, bilinear. As `Counts::near` of nodes/refine/onnx.rs."""
+    """Counts [row, column] of an event array's pixels at the pixels of frames of a shape, bilinear. As `EventCounts::counts_near` of nodes/refine/onnx.rs."""
     rows, columns = np.mgrid[0 : shape[0], 0 : shape[1]]
     column, row, share = np.einsum("ij,j...->i...", np.linalg.inv(places), np.stack([columns, rows, np.ones(shape)]))
     column, row = column / share, row / share

@@ -11,11 +11,11 @@ use crate::case::{self, Unread};
 use crate::failure::{Done, Failure, usage};
 use crate::numbers::human_seconds;
 use crate::terminal::{print, say};
-use photocurrent_diagnosis::diagnose::broken;
+use photocurrent_diagnosis::diagnose::unreadable_report;
 use photocurrent_diagnosis::page::{page, with_names};
 use photocurrent_diagnosis::report::{Report, Verdict};
 use photocurrent_diagnosis::units::readable;
-use photocurrent_diagnosis::unstated::short;
+use photocurrent_diagnosis::unstated::reason_without_source;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -42,7 +42,7 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
     let sensor = match case::look(&given, options.memory) {
         Ok(sensor) => sensor,
         Err(Unread::Content(why)) => {
-            let report = broken(&why, options.seed);
+            let report = unreadable_report(&why, options.seed);
             let scratch = scratch(&folder)?;
             std::fs::write(scratch.path().join(REPORT), text(&report)?)?;
             std::fs::write(
@@ -178,8 +178,10 @@ fn summary(report: &Report) -> String {
             property.property, property.frequency_hz, property.depth
         );
     }
-    for (why, ids) in
-        report.not_testable_by_reason().into_iter().filter_map(|(why, ids)| Some((short(why)?, ids)))
+    for (why, ids) in report
+        .not_testable_by_reason()
+        .into_iter()
+        .filter_map(|(why, ids)| Some((reason_without_source(why)?, ids)))
     {
         let _ = writeln!(text, "\nnot tested: {}\n  {why}", ids.join(", "));
     }

@@ -17,7 +17,7 @@ use photocurrent_formats::places;
 use photocurrent_formats::survey::{Most, survey};
 use photocurrent_formats::{EventCursor, Format, FormatError, Recording, StampRole, Transfer, joined};
 use photocurrent_nodes::estimate::held_out::HeldOut;
-use photocurrent_nodes::estimate::{Estimate, Proposals, proposals};
+use photocurrent_nodes::estimate::{Estimate, SensorEstimates, proposals};
 use photocurrent_nodes::read::foreign::{All, Size};
 use photocurrent_nodes::read::formats::takes;
 use std::path::{Path, PathBuf};
@@ -239,7 +239,7 @@ impl Draft {
 
     /// Thresholds, exposure and offset by the streams themselves, of everything that was recorded, whichever
     /// part is rendered; and what an offset explains. A lag without a proposed offset is marked.
-    fn measure(&mut self, acts: &mut Acts) -> Result<(Proposals, String), Failure> {
+    fn measure(&mut self, acts: &mut Acts) -> Result<(SensorEstimates, String), Failure> {
         let (start, end) = (self.all.start.take(), self.all.end.take());
         let (recording, arranged) = self.open().map_err(refused)?;
         let mut found = self.proposals(recording.as_ref(), &arranged)?;
@@ -275,12 +275,16 @@ impl Draft {
     }
 
     /// What the streams themselves say; of a long recording, its first part.
-    fn proposals(&mut self, recording: &dyn Recording, arranged: &Arranged) -> Result<Proposals, Failure> {
+    fn proposals(
+        &mut self,
+        recording: &dyn Recording,
+        arranged: &Arranged,
+    ) -> Result<SensorEstimates, Failure> {
         let gathered =
             arranged.gather(recording, EVENTS_BUDGET, |_: &dyn EventCursor| Ok::<(), FormatError>(()));
         let (Some((events, _)), Some(frames)) = (gathered.map_err(refused)?, arranged.frame_sequence())
         else {
-            return Ok(Proposals::default());
+            return Ok(SensorEstimates::default());
         };
         let is_open = self.reader.iter().any(|fill| fill.name == "exposure");
         let anchor = is_open.then_some(match self.all.stamp {
@@ -499,7 +503,7 @@ fn is_an_offset(offset: &Estimate) -> bool {
 }
 
 /// Fields of the description that no file states.
-fn describe(found: &Proposals, offset_why: &str) -> Vec<Fill> {
+fn describe(found: &SensorEstimates, offset_why: &str) -> Vec<Fill> {
     let matters = "Too small a value gives pale motion, too large a value ghosts";
     let usual = |estimate: &Estimate| (0.02..2.0).contains(&estimate.value);
     let both = found.thresholds.filter(|(on, off)| usual(on) && usual(off));

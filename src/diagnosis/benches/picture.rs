@@ -1,5 +1,5 @@
-//! Time to fit a moving picture to the frames of a made-up scene, to fit it again to frames like them, and to
-//! ask every effect of its events.
+//! Times three steps on a simulated scene: fitting a moving picture to its frames, fitting it again to
+//! similar frames, and evaluating every effect on its events.
 //!
 //! Run with `cargo bench -p photocurrent-diagnosis --bench picture`; the argument is the array's width, three
 //! quarters of it are its height.
@@ -8,11 +8,11 @@ use divan::Bencher;
 use photocurrent_core::Extent;
 use photocurrent_diagnosis::residual::evidence::EvidenceSetting;
 use photocurrent_diagnosis::residual::ranking::evidence;
-use photocurrent_diagnosis::scenes::MadeUp;
+use photocurrent_diagnosis::scenes::SimulatedScene;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::moving::MovingPicture;
 use photocurrent_scene::nominal::Nominal;
-use photocurrent_scene::picture::{Picture, PictureSetting};
+use photocurrent_scene::picture::{PictureSetting, ScenePicture};
 
 const WIDTHS: [u32; 2] = [24, 48];
 
@@ -21,7 +21,7 @@ fn main() {
 }
 
 fn recording(width: u32) -> (Case, Nominal) {
-    let case = MadeUp::new(3, 2, Extent { width, height: width * 3 / 4 }, 0.15)
+    let case = SimulatedScene::new(3, 2, Extent { width, height: width * 3 / 4 }, 0.15)
         .recording()
         .expect("a scene is made");
     let nominal = case.nominal().expect("its sensor is stated");
@@ -31,13 +31,13 @@ fn recording(width: u32) -> (Case, Nominal) {
 #[divan::bench(args = WIDTHS, sample_count = 5)]
 fn fit(bencher: Bencher<'_, '_>, width: u32) {
     let (case, nominal) = recording(width);
-    bencher.bench(|| Picture::fit(&case, &nominal, &PictureSetting::default()));
+    bencher.bench(|| ScenePicture::fit(&case, &nominal, &PictureSetting::default()));
 }
 
 #[divan::bench(args = WIDTHS, sample_count = 5)]
 fn refit(bencher: Bencher<'_, '_>, width: u32) {
     let (case, nominal) = recording(width);
-    let picture = Picture::fit(&case, &nominal, &PictureSetting::default()).expect("it is fitted");
+    let picture = ScenePicture::fit(&case, &nominal, &PictureSetting::default()).expect("it is fitted");
     bencher.bench(|| picture.refit(&case, &nominal, &PictureSetting::default(), None));
 }
 

@@ -1,18 +1,17 @@
-//! The one model of the decision: from what residuals say of every hypothesis to probabilities.
+//! The decision model: from gains of all hypotheses to posterior probabilities.
 //!
-//! - That something differs: a logistic function of what the best effect gains and a second one in addition
-//!   to it.
-//! - Which it is: gains relative to the best one, softly; random effects and what is in no catalogue with an
-//!   offset of their own.
-//! - That there is a second one in addition to the first: a logistic function of its gain, alone and over the
-//!   first one's.
+//! - Probability that the recording differs: a logistic function of the log gains of the best effect and of a
+//!   second effect in addition to it.
+//! - Probability of each effect: a softmax of log gains relative to the best one. Random effects and
+//!   uncatalogued dependences have offsets of their own.
+//! - Probability of a second effect: a logistic function of its log gain, alone and relative to the first.
 //!
 //! Its numbers are calibrated on simulated recordings (the crate `photocurrent-calibrate`).
 
 use crate::candidates::CANDIDATES;
 pub use crate::residual::evidence::KINDS;
-use crate::residual::evidence::{Evidence, Ranked};
-use crate::residual::open::Open;
+use crate::residual::evidence::{RankedEffect, SceneEvidence};
+use crate::residual::open::CovariateCurve;
 use schemars::{JsonSchema, Schema};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -22,41 +21,40 @@ use serde_json::{Map, Value};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(transform = |schema: &mut Schema| drop(schema.remove("required")))]
-pub struct Model {
-    /// Log odds that something differs: constant, and weights of the logarithms of what the best effect gains
-    /// and a second one in addition to it, and of the share of the events that count.
+pub struct DecisionModel {
+    /// Log odds of a difference: a constant, and weights of three log features: gain of the best effect and
+    /// of a second one, and share of the events that are evaluated.
     pub something: [f64; SOMETHING],
     /// Log odds of a second effect: constant, and weights of the logarithms of its gain and of that over the
     /// first's.
     pub second: [f64; SECOND],
-    /// Logarithms of gains count less by this of random effects, and of those that change how far light
-    /// swings from event to event: such effects gain where the scene errs.
+    /// Discounts on the log gains of random effects and of effects that change the swing of light between
+    /// events: both gain from errors of the scene.
     pub discount: [f64; 2],
-    /// And of the best curve over a covariate, which is in no catalogue.
+    /// Discount on the log gain of the best uncatalogued curve.
     pub discount_of_curves: f64,
-    /// Logarithm of the share of the best gain by which an effect must fall short to be a factor e less
-    /// probable, at a gain of 1 nat an event; and what it grows by with the logarithm of that gain.
+    /// Log of the softmax temperature over log gain: its value at 1 nat per event, and its slope over the log
+    /// of the best gain.
     pub softness: [f64; 2],
     /// Log odds of a random effect over one with a size, at the same gain.
     pub random: f64,
-    /// Log odds of what is in no catalogue: constant, and weights of the logarithms of what the best curve
-    /// gains beyond the best effect, and alone, over that effect's gain.
+    /// Log odds of an uncatalogued dependence: a constant, and weights of two log gains of the best curve
+    /// relative to the best effect: beyond that effect, and alone.
     pub unnamed: [f64; 3],
-    /// What gains less than this is no sign that something differs, nats an event: sound recordings gain as
-    /// much.
+    /// Gains below this do not indicate a difference, nats per event: nominal recordings gain as much.
     #[schemars(range(min = 0.0))]
     pub least_gain: f64,
 }
 
-/// Numbers of [`Model::something`].
+/// Numbers of [`DecisionModel::detection_features`].
 pub const SOMETHING: usize = 3;
-/// Numbers of [`Model::second`].
+/// Numbers of [`DecisionModel::second_effect_features`].
 pub const SECOND: usize = 3;
 
-impl Default for Model {
+impl Default for DecisionModel {
     /// `photocurrent-calibrate`, docs/diagnosis.md.
-    fn default() -> Model {
-        Model {
+    fn default() -> DecisionModel {
+        DecisionModel {
             something: [3.612, 0.797, 0.533],
             second: [1.576, 0.344, 0.248],
             discount: [1.5, 1.0],
@@ -69,38 +67,41 @@ impl Default for Model {
     }
 }
 
-/// A model for each kind of scene, as what is left without an effect differs from kind to kind.
+/// Decision models by kind of scene: the misfit without an effect differs between kinds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
-pub struct Models {
+pub struct DecisionModels {
     /// The model of a moving picture, and of every kind of scene that has none of its own.
-    #[serde(deserialize_with = "over::<_, 0>")]
-    pub picture: Model,
+    #[serde(deserialize_with = "deserialise_over_defaults::<_, 0>")]
+    pub picture: DecisionModel,
     /// The model of a scene in parts, or before a still ground.
-    #[serde(deserialize_with = "over::<_, 2>")]
-    pub patches: Model,
+    #[serde(deserialize_with = "deserialise_over_defaults::<_, 2>")]
+    pub patches: DecisionModel,
     /// The model of known light.
-    #[serde(deserialize_with = "over::<_, 1>")]
-    pub given: Model,
+    #[serde(deserialize_with = "deserialise_over_defaults::<_, 1>")]
+    pub given: DecisionModel,
     /// The model of the light of pixels, free in time.
-    #[serde(deserialize_with = "over::<_, 3>")]
-    pub pixels: Model,
+    #[serde(deserialize_with = "deserialise_over_defaults::<_, 3>")]
+    pub pixels: DecisionModel,
     /// The model of one moving picture of frames and events together.
-    #[serde(deserialize_with = "over::<_, 4>")]
-    pub joint: Model,
+    #[serde(deserialize_with = "deserialise_over_defaults::<_, 4>")]
+    pub joint: DecisionModel,
 }
 
 /// The stated numbers of a model, and the built-in ones of its kind of scene ([`KINDS`]) for the rest.
-fn over<'de, D: Deserializer<'de>, const KIND: usize>(stated: D) -> Result<Model, D::Error> {
+fn deserialise_over_defaults<'de, D: Deserializer<'de>, const KIND: usize>(
+    stated: D,
+) -> Result<DecisionModel, D::Error> {
     let stated: Map<String, Value> = Map::deserialize(stated)?;
-    let mut numbers = serde_json::to_value(Models::default().of(KINDS[KIND])).map_err(D::Error::custom)?;
+    let mut numbers =
+        serde_json::to_value(DecisionModels::default().for_scene(KINDS[KIND])).map_err(D::Error::custom)?;
     stated.into_iter().for_each(|(name, number)| numbers[name] = number);
-    Model::deserialize(numbers).map_err(D::Error::custom)
+    DecisionModel::deserialize(numbers).map_err(D::Error::custom)
 }
 
-impl Models {
-    /// Of a kind of scene ([`Evidence::scene`]).
-    pub fn of(&self, scene: &str) -> &Model {
+impl DecisionModels {
+    /// Of a kind of scene ([`SceneEvidence::scene`]).
+    pub fn for_scene(&self, scene: &str) -> &DecisionModel {
         match KINDS.iter().position(|kind| *kind == scene) {
             Some(1) => &self.given,
             Some(2) => &self.patches,
@@ -111,23 +112,23 @@ impl Models {
     }
 }
 
-impl Default for Models {
+impl Default for DecisionModels {
     /// `photocurrent-calibrate`, docs/diagnosis.md.
-    fn default() -> Models {
-        Models {
-            picture: Model::default(),
-            patches: Model::of_patches(),
-            given: Model::of_given_light(),
-            pixels: Model::of_pixels(),
-            joint: Model::of_joint(),
+    fn default() -> DecisionModels {
+        DecisionModels {
+            picture: DecisionModel::default(),
+            patches: DecisionModel::for_patches(),
+            given: DecisionModel::for_known_light(),
+            pixels: DecisionModel::for_pixels(),
+            joint: DecisionModel::for_joint(),
         }
     }
 }
 
-impl Model {
+impl DecisionModel {
     /// The built-in numbers for scenes in parts: `photocurrent-calibrate --scene parts`.
-    pub fn of_patches() -> Model {
-        Model {
+    pub fn for_patches() -> DecisionModel {
+        DecisionModel {
             something: [2.356, 0.630, 0.062],
             second: [2.601, 0.951, 0.607],
             discount: [1.5, 0.5],
@@ -140,8 +141,8 @@ impl Model {
     }
 
     /// The built-in numbers for the light of pixels: `photocurrent-calibrate --scene pixels`.
-    pub fn of_pixels() -> Model {
-        Model {
+    pub fn for_pixels() -> DecisionModel {
+        DecisionModel {
             something: [7.647, 2.275, 0.0],
             second: [0.708, -0.684, 2.119],
             discount: [3.0, 0.0],
@@ -155,8 +156,8 @@ impl Model {
 
     /// The built-in numbers for one moving picture of frames and events: `photocurrent-calibrate --scene
     /// joint`.
-    pub fn of_joint() -> Model {
-        Model {
+    pub fn for_joint() -> DecisionModel {
+        DecisionModel {
             something: [11.270, 3.821, 0.030],
             second: [-0.150, 0.239, 0.079],
             discount: [1.5, 0.5],
@@ -169,8 +170,8 @@ impl Model {
     }
 
     /// The built-in numbers for known light: `photocurrent-calibrate --scene given`.
-    pub fn of_given_light() -> Model {
-        Model {
+    pub fn for_known_light() -> DecisionModel {
+        DecisionModel {
             something: [4.148, 1.102, 0.0],
             second: [1.693, 0.319, 0.471],
             discount: [0.0, 0.0],
@@ -189,27 +190,26 @@ const SOFTNESS: (f64, f64) = (-5.0, 2.0);
 /// A discount of curves with which they are no sign that something differs.
 pub const NO_CURVES: f64 = 10.0;
 
-/// Gains below this are nothing, nats an event.
+/// Floor of gains, nats per event.
 const LEAST_GAIN: f64 = 1e-3;
 
-/// Logarithms of the best gains of one place, nats an event.
+/// Log of the best gains by class of effect, gains in nats per event.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Gains {
+pub struct LogGains {
     /// Of other effects with a size.
     pub sized: f64,
     /// Of random ones.
     pub random: f64,
-    /// Of those that change how far light swings from event to event; nothing in lists that do not
-    /// distinguish them.
-    #[serde(default = "nothing")]
+    /// Of effects that change the swing of light between events. Defaults to the floor in older lists.
+    #[serde(default = "least_log_gain")]
     pub swing: f64,
 }
 
-fn nothing() -> f64 {
+fn least_log_gain() -> f64 {
     libm::log(LEAST_GAIN)
 }
 
-impl Gains {
+impl LogGains {
     fn best(&self) -> f64 {
         self.discounted([0.0; 2])
     }
@@ -219,64 +219,71 @@ impl Gains {
     }
 }
 
-/// What the model looks at.
+/// Features of the decision model.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Facts {
+pub struct DecisionFeatures {
     /// Of the first effect.
-    pub gains: Gains,
+    pub gains: LogGains,
     /// Of a second one; none where there is none.
-    pub second_gains: Option<Gains>,
+    pub second_gains: Option<LogGains>,
     /// Hypotheses, best first: catalogue id, gain over the best one's, is it random.
     pub first: Vec<(String, f64, bool)>,
     /// The same in addition to the first.
     pub second: Vec<(String, f64, bool)>,
     /// Logarithms of the gains of curves over that of the best effect: with it, and alone.
     pub open: [f64; 2],
-    /// Logarithm of the share of the events that count: where the scene explains few of them, it may err in
-    /// those as well.
+    /// Log of the share of the events that are evaluated. Where it is small, the scene may be wrong in the
+    /// rest.
     pub share: f64,
     /// Kind of scene ([`KINDS`]).
     #[serde(default)]
     pub scene: String,
 }
 
-impl Facts {
-    /// Of evidence.
-    pub fn of(found: &Evidence) -> Facts {
+impl DecisionFeatures {
+    /// Computed from the evidence of one scene.
+    pub fn from_evidence(found: &SceneEvidence) -> DecisionFeatures {
         let first = hypotheses(&found.ranked, &found.random, found.noise[0]);
         let second = hypotheses(&found.second, &found.random_second, found.noise[1]);
         // What a size that does not matter explains needs no other explanation.
         let small = explained_by_little(&found.ranked, &found.random);
         let second_small = explained_by_little(&found.second, &found.random_second);
-        let gain = |list: &[&Ranked], small: f64, kind: [bool; 2]| {
-            let of_kind = |one: &&&Ranked| {
+        let gain = |list: &[&RankedEffect], small: f64, kind: [bool; 2]| {
+            let of_kind = |one: &&&RankedEffect| {
                 [CANDIDATES[one.candidate].is_random, CANDIDATES[one.candidate].sought.is_of_swing] == kind
             };
-            libm::log(list.iter().filter(of_kind).map(|one| one.beyond() - small).fold(LEAST_GAIN, f64::max))
+            libm::log(
+                list.iter()
+                    .filter(of_kind)
+                    .map(|one| one.gain_beyond_control() - small)
+                    .fold(LEAST_GAIN, f64::max),
+            )
         };
-        let gains = |list: &[&Ranked], small: f64| Gains {
+        let gains = |list: &[&RankedEffect], small: f64| LogGains {
             sized: gain(list, small, [false; 2]),
             random: gain(list, small, [true, false]),
             swing: gain(list, small, [false, true]),
         };
         let of_first = gains(&first, small);
         let best = of_first.best();
-        let named = |list: &[&Ranked], noise: f64| {
-            let best = list.first().map_or(LEAST_GAIN, |one| one.standing(noise).max(LEAST_GAIN));
+        let named = |list: &[&RankedEffect], noise: f64| {
+            let best = list.first().map_or(LEAST_GAIN, |one| one.gain_beyond_noise(noise).max(LEAST_GAIN));
             list.iter()
                 .map(|one| {
                     (
                         CANDIDATES[one.candidate].id.to_owned(),
-                        one.standing(noise) / best,
+                        one.gain_beyond_noise(noise) / best,
                         CANDIDATES[one.candidate].is_random,
                     )
                 })
                 .collect()
         };
-        let curve = |list: &[Open], small: f64| {
-            libm::log(list.first().map_or(LEAST_GAIN, |one| (one.beyond() - small).max(LEAST_GAIN)))
+        let curve = |list: &[CovariateCurve], small: f64| {
+            libm::log(
+                list.first().map_or(LEAST_GAIN, |one| (one.gain_beyond_control() - small).max(LEAST_GAIN)),
+            )
         };
-        Facts {
+        DecisionFeatures {
             gains: of_first,
             second_gains: (!second.is_empty()).then(|| gains(&second, second_small)),
             first: named(&first, found.noise[0]),
@@ -288,14 +295,17 @@ impl Facts {
     }
 
     /// To four digits behind the point.
-    pub fn rounded(&self) -> Facts {
+    pub fn rounded(&self) -> DecisionFeatures {
         let round = |x: f64| (x * 1e4).round() / 1e4;
-        let gains =
-            |of: Gains| Gains { sized: round(of.sized), random: round(of.random), swing: round(of.swing) };
+        let gains = |of: LogGains| LogGains {
+            sized: round(of.sized),
+            random: round(of.random),
+            swing: round(of.swing),
+        };
         let list = |of: &[(String, f64, bool)]| {
             of.iter().map(|(id, share, is_random)| (id.clone(), round(*share), *is_random)).collect()
         };
-        Facts {
+        DecisionFeatures {
             gains: gains(self.gains),
             second_gains: self.second_gains.map(gains),
             first: list(&self.first),
@@ -314,10 +324,15 @@ impl Facts {
         with.max(libm::log((libm::exp(alone) - 1.0).max(LEAST_GAIN)))
     }
 
-    /// 1, the logarithm of what the best effect, or a curve, gains and another effect in addition to it, as
-    /// some only show together, at least `least_gain`, and that of the share of the events that count.
-    /// `of_curves`: [`Model::discount_of_curves`].
-    pub fn something(&self, discount: [f64; 2], of_curves: f64, least_gain: f64) -> [f64; SOMETHING] {
+    /// Features of the detection odds: 1; log of the joint gain of the best effect (or curve) and a second
+    /// effect, at least `least_gain`; log of the share of the events that are evaluated. `of_curves`:
+    /// [`DecisionModel::discount_of_curves`].
+    pub fn detection_features(
+        &self,
+        discount: [f64; 2],
+        of_curves: f64,
+        least_gain: f64,
+    ) -> [f64; SOMETHING] {
         let second = self.second_gains.map_or(0.0, |gains| libm::exp(gains.discounted(discount)));
         let curve = self.open[1] + self.gains.best() - of_curves;
         let gain = libm::exp(self.gains.discounted(discount).max(curve)) + second;
@@ -325,15 +340,15 @@ impl Facts {
     }
 
     /// 1, the logarithm of the second gain, and of that over the first; none where there is no second.
-    pub fn second(&self, discount: [f64; 2]) -> Option<[f64; SECOND]> {
+    pub fn second_effect_features(&self, discount: [f64; 2]) -> Option<[f64; SECOND]> {
         let other = self.second_gains?.discounted(discount);
         Some([1.0, other, other - self.gains.discounted(discount)])
     }
 }
 
-impl Model {
-    /// The gain of one effect, nats an event, at which the log odds that something differs are `log_odds`,
-    /// with the logarithm of the share of the events that count.
+impl DecisionModel {
+    /// Gain of one effect, nats per event, at which the log odds of a difference are `log_odds`. `share`: log
+    /// of the share of the events that are evaluated.
     pub fn needed_gain(&self, log_odds: f64, share: f64) -> f64 {
         let [constant, gain, of_share] = self.something;
         libm::exp((log_odds - constant - of_share * share) / gain).max(LEAST_GAIN)
@@ -341,24 +356,30 @@ impl Model {
 }
 
 /// The most that an effect of a size that does not matter gains, nats an event; at least 0.
-fn explained_by_little(ranked: &[Ranked], random: &[Ranked]) -> f64 {
+fn explained_by_little(ranked: &[RankedEffect], random: &[RankedEffect]) -> f64 {
     ranked
         .iter()
         .chain(random)
         .filter(|one| one.is_exact && !one.is_material)
-        .map(Ranked::beyond)
+        .map(RankedEffect::gain_beyond_control)
         .fold(0.0, f64::max)
 }
 
-/// Each effect by its best parameter, best first: those that were fitted exactly and matter. `noise`: what
-/// wider noise of events alone gains.
-pub fn hypotheses<'a>(ranked: &'a [Ranked], random: &'a [Ranked], noise: f64) -> Vec<&'a Ranked> {
-    let mut all: Vec<&Ranked> = ranked
+/// Each effect with its best parameter, in falling order of gain: those that were fitted exactly and are
+/// material. `noise`: gain of wider event noise alone.
+pub fn hypotheses<'a>(
+    ranked: &'a [RankedEffect],
+    random: &'a [RankedEffect],
+    noise: f64,
+) -> Vec<&'a RankedEffect> {
+    let mut all: Vec<&RankedEffect> = ranked
         .iter()
         .chain(random)
-        .filter(|one| one.is_exact && one.beyond() > 0.0 && one.is_material)
+        .filter(|one| one.is_exact && one.gain_beyond_control() > 0.0 && one.is_material)
         .collect();
-    all.sort_by(|a, b| b.standing(noise).total_cmp(&a.standing(noise)).then(a.candidate.cmp(&b.candidate)));
+    all.sort_by(|a, b| {
+        b.gain_beyond_noise(noise).total_cmp(&a.gain_beyond_noise(noise)).then(a.candidate.cmp(&b.candidate))
+    });
     let mut ids: Vec<&str> = Vec::new();
     all.retain(|one| {
         let id = CANDIDATES[one.candidate].id;
@@ -369,23 +390,26 @@ pub fn hypotheses<'a>(ranked: &'a [Ranked], random: &'a [Ranked], noise: f64) ->
     all
 }
 
-/// Probabilities of one place: that there is something, of each hypothesis, and of what is in no catalogue.
+/// Posterior probabilities: of a difference, of each hypothesis, of an uncatalogued dependence.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Posterior {
     /// That there is anything.
     pub something: f64,
-    /// Of each hypothesis in its order, given that there is something.
+    /// Of each hypothesis in its order, conditional on a difference.
     pub each: Vec<f64>,
-    /// Of what is in no catalogue, given that there is something.
+    /// Of an uncatalogued dependence, conditional on a difference.
     pub unnamed: f64,
 }
 
-impl Model {
+impl DecisionModel {
     /// Posterior of the first effect.
-    pub fn first(&self, facts: &Facts) -> Posterior {
+    pub fn first(&self, facts: &DecisionFeatures) -> Posterior {
         let odds = self.unnamed[0] + self.unnamed[1] * facts.beyond_best() + self.unnamed[2] * facts.open[1];
         self.posterior(
-            dot(&self.something, &facts.something(self.discount, self.discount_of_curves, self.least_gain)),
+            dot(
+                &self.something,
+                &facts.detection_features(self.discount, self.discount_of_curves, self.least_gain),
+            ),
             facts.gains.best(),
             &facts.first,
             Some(odds),
@@ -393,10 +417,10 @@ impl Model {
     }
 
     /// And of a second one.
-    pub fn second(&self, facts: &Facts) -> Option<Posterior> {
+    pub fn second(&self, facts: &DecisionFeatures) -> Option<Posterior> {
         let gains = facts.second_gains?;
         Some(self.posterior(
-            dot(&self.second, &facts.second(self.discount)?),
+            dot(&self.second, &facts.second_effect_features(self.discount)?),
             gains.best(),
             &facts.second,
             None,
@@ -442,8 +466,8 @@ mod tests {
 
     #[test]
     fn a_curve_that_explains_more_than_the_best_effect_counts_by_what_it_explains_more() {
-        let facts = |alone: f64| Facts {
-            gains: Gains {
+        let facts = |alone: f64| DecisionFeatures {
+            gains: LogGains {
                 sized: libm::log(LEAST_GAIN),
                 random: libm::log(0.4),
                 swing: libm::log(LEAST_GAIN),
@@ -451,9 +475,9 @@ mod tests {
             first: vec![("threshold_mismatch".into(), 1.0, true)],
             // With thresholds of each pixel's own nothing of a curve over the rows is left.
             open: [libm::log(LEAST_GAIN / 0.4), libm::log(alone / 0.4)],
-            ..Facts::default()
+            ..DecisionFeatures::default()
         };
-        let unnamed = |alone: f64| Model::default().first(&facts(alone)).unnamed;
+        let unnamed = |alone: f64| DecisionModel::default().first(&facts(alone)).unnamed;
         assert!(unnamed(0.6) > 5.0 * unnamed(0.4), "{} {}", unnamed(0.6), unnamed(0.4));
         assert!(unnamed(0.4) < 1.5 * unnamed(0.3));
     }

@@ -1,15 +1,15 @@
-//! 95 % intervals of what direct tests estimate, for all of them in one way: each test is made again without
-//! a tenth of the array, ten times.
+//! 95 % intervals of the direct tests' estimates by the delete-a-group jackknife: each test is repeated ten
+//! times, each time without a tenth of the array.
 //!
-//! The array is cut into blocks of 8 x 8 pixels, and these are dealt in pairs to ten groups. What an estimate
-//! differs by from group to group gives its standard error (the delete-a-group jackknife: Shao and Tu, *The
-//! Jackknife and Bootstrap*, 1995, section 2.3), Student's t the interval; what all groups are known to share
-//! ([`common`]) is added in squares. Of a recording with more than [`MANY`] events each group is looked at
-//! alone instead, so that all ten together cost one pass.
+//! The array is cut into blocks of 8 x 8 pixels, which are dealt in pairs to ten groups. The differences
+//! between groups give the standard error (Shao and Tu, *The Jackknife and Bootstrap*, 1995, section 2.3),
+//! Student's t gives the interval. The error that all groups share ([`common_standard_error`]) is added in
+//! quadrature. In a recording with more than [`MANY`] events each group is evaluated alone, so that all ten
+//! cost one pass.
 //!
-//! Limits: an estimate that is wrong everywhere by more than [`common`] allows has a narrow interval around
-//! the wrong number: what a test assumes is not questioned. Where a test finds nothing in more than three of
-//! the ten, it is near its threshold and has no interval; neither have arrays of too few blocks.
+//! Limits: an estimate that is wrong everywhere by more than [`common_standard_error`] gets a narrow interval
+//! around the wrong value: assumptions of a test are not checked. A test that finds nothing in more than
+//! three groups is near its threshold and gets no interval. Nor do arrays of too few blocks.
 
 use super::array::BLOCK;
 use super::departure::Departure;
@@ -18,22 +18,22 @@ use rayon::prelude::*;
 
 /// Parts of the array.
 const GROUPS: usize = 10;
-/// In so many of them a test must find what it found in all.
+/// Least number of groups in which the test must confirm its finding.
 const FEWEST: usize = 7;
 /// The 97.5 % quantile of the normal distribution.
 const NORMAL: f64 = 1.96;
-/// From so many events on, each group is looked at alone.
+/// Number of events from which each group is evaluated alone.
 const MANY: usize = 2_000_000;
 
 /// The group of a pixel. Blocks are those of [`super::array::half`]; of two that follow each other one is of
 /// each half, or the rows below bring the other.
 fn group(case: &Case, pixel: usize) -> usize {
-    let (x, y) = case.place(pixel);
+    let (x, y) = case.pixel_place(pixel);
     let block = y / BLOCK * case.extent.width.div_ceil(BLOCK) + x / BLOCK;
     block as usize % (2 * GROUPS) / 2
 }
 
-/// Tests that are made again of a recording without the pixels of a list.
+/// Repeats tests on a recording without the listed pixels.
 type TestsAgain<'a> = &'a (dyn Fn(&Case, &[u32]) -> Vec<Departure> + Sync);
 
 /// Has a finding a number without an interval?
@@ -50,7 +50,10 @@ pub(crate) fn add_intervals(case: &Case, findings: &mut [Departure], again: Test
     let is_alone = case.events.len() > MANY;
     let groups: Vec<usize> = (0..case.extent.pixels()).map(|pixel| group(case, pixel)).collect();
     let is_empty = |number: usize| {
-        groups.iter().zip(0..).all(|(group, pixel)| *group != number || case.events.of(pixel).is_empty())
+        groups
+            .iter()
+            .zip(0..)
+            .all(|(group, pixel)| *group != number || case.events.of_pixel(pixel).is_empty())
     };
     if (0..GROUPS).any(is_empty) {
         return;
@@ -64,7 +67,7 @@ pub(crate) fn add_intervals(case: &Case, findings: &mut [Departure], again: Test
             .collect();
         again(
             &Case {
-                events: case.events.without(&out),
+                events: case.events.without_pixels(&out),
                 sensor: case.sensor.clone(),
                 frames: case.frames.clone(),
                 ..*case
@@ -85,10 +88,12 @@ pub(crate) fn add_intervals(case: &Case, findings: &mut [Departure], again: Test
             if values.len() < FEWEST {
                 return None;
             }
-            let (apart, common) =
-                (student(values.len()) * standard_error(&values, is_alone), NORMAL * common(finding, *value));
+            let (apart, common) = (
+                student(values.len()) * standard_error(&values, is_alone),
+                NORMAL * common_standard_error(finding, *value),
+            );
             let reach = libm::sqrt(apart * apart + common * common);
-            // What no part has a say in (the period of the frames) is not estimated from them.
+            // Parameters that no part changes (the period of the frames) are not estimated from them.
             (reach > 1e-9 * value.abs()).then_some((*name, [value - reach, value + reach]))
         });
         finding.ci95 = found.collect::<Vec<_>>().into_iter().chain(finding.ci95.clone()).collect();
@@ -105,9 +110,9 @@ fn student(groups: usize) -> f64 {
     }
 }
 
-/// Standard error of what all parts share: the errors that these tests have on simulated recordings
-/// (`again_tests.rs`), or that their files state.
-fn common(finding: &Departure, value: f64) -> f64 {
+/// Standard error that all groups share: the test's error on simulated recordings (`again_tests.rs`), or the
+/// one that its file states.
+fn common_standard_error(finding: &Departure, value: f64) -> f64 {
     match finding.id {
         "hot_rows" | "hot_pixels" => 0.01 * value.abs(),
         "clock_offset" => 0.05 * value.abs(),

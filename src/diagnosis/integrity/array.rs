@@ -1,4 +1,4 @@
-//! What the direct tests share: the events of the array in order of time, and the halves of the array.
+//! Shared by the direct tests: the events of the array in order of time, and the halves of the array.
 
 use photocurrent_scene::case::Case;
 
@@ -7,19 +7,19 @@ pub(super) const BLOCK: u32 = 8;
 
 /// Which half of the array a pixel is of: a checkerboard of blocks.
 pub(super) fn half(case: &Case, pixel: usize) -> usize {
-    let (x, y) = case.place(pixel);
+    let (x, y) = case.pixel_place(pixel);
     ((x / BLOCK + y / BLOCK) % 2) as usize
 }
 
 /// Frequencies of light that flickers, Hz: lamps on 50 and 60 Hz mains, and dimmers.
 pub(super) const LAMPS_HZ: std::ops::Range<u32> = 45..400;
 
-/// Steps of time in which their rhythm is sought, ns: five a period of the fastest.
+/// Time step of the search for a rhythm, ns: a fifth of the shortest period.
 pub(super) const LAMPS_STEP_NS: i64 = 500_000;
 
 /// Means of a series over 12.5 ms in steps of [`LAMPS_STEP_NS`] on either side: scenes change slowly, lamps
 /// do not.
-pub(super) fn slow(series: &[f64]) -> Vec<f64> {
+pub(super) fn slow_mean(series: &[f64]) -> Vec<f64> {
     let half = (12_500_000 / LAMPS_STEP_NS) as usize;
     let mut sums = vec![0.0];
     series.iter().for_each(|value| sums.push(sums[sums.len() - 1] + value));
@@ -32,7 +32,7 @@ pub(super) fn slow(series: &[f64]) -> Vec<f64> {
 
 /// An event of the whole array in order of the recorded time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Stamped {
+pub struct StampedEvent {
     /// The recorded off-pixel time, ns.
     pub t_ns: i64,
     /// `y * width + x`.
@@ -43,21 +43,21 @@ pub struct Stamped {
 
 /// All events of the array in order of their recorded time.
 #[derive(Clone, Debug, Default)]
-pub struct Stream(pub Vec<Stamped>);
+pub struct EventsByTime(pub Vec<StampedEvent>);
 
-impl Stream {
-    /// Of a recording.
-    pub fn of(case: &Case) -> Stream {
+impl EventsByTime {
+    /// All events of a recording, sorted by recorded time.
+    pub fn from_case(case: &Case) -> EventsByTime {
         let mut all = Vec::with_capacity(case.events.len());
         for pixel in 0..case.events.pixels() {
-            all.extend(case.events.of(pixel).iter().map(|event| Stamped {
+            all.extend(case.events.of_pixel(pixel).iter().map(|event| StampedEvent {
                 t_ns: event.t_off_ns,
                 pixel: pixel as u32,
                 polarity: event.polarity,
             }));
         }
         all.sort_unstable_by_key(|event| (event.t_ns, event.pixel));
-        Stream(all)
+        EventsByTime(all)
     }
 
     /// First and last stamp, ns; none without events.

@@ -1,17 +1,18 @@
-//! What the light did between two frames, by the frames and by the events: events that come late (`late`),
-//! and light that is lost while pixels are blind (`blind`).
+//! Compares the change of log light between two frames with the events between them: late events
+//! (`event_delay`) and light lost while pixels are blind (`blind`).
 //!
-//! Events of a pixel between two frames say how far its log light went: a threshold each. They agree best
-//! with the frames when they are moved by as much as their clock or their path is late. An event stands for
-//! the light that made its step before it, and for the light that is lost after it: half an interval less a
-//! blind time, which is no delay and is subtracted. A pixel that is blind after each event does not see what
-//! the light does meanwhile: the faster its events follow each other, the further the light went for each.
-//! `change = threshold * interval / (interval - blind)` for steady light, which is fitted; without a blind
-//! time the change for an event does not depend on how fast they come, whatever the scene does.
+//! Each event between two frames stands for one threshold of log light. Events agree best with the frames
+//! when they are shifted by the delay of their clock or path. An event stands for the light before it that
+//! made its step, and for the light after it that is lost. That is half an interval less a blind time; it is
+//! no delay and is subtracted.
 //!
-//! Limits: frames that average over a large part of their period are the business of [`super::means`]; finer
-//! delays, and bandwidths that depend on light, are the business of tests that estimate the scene. Another
-//! threshold than stated changes neither. Estimates have an error of up to a third.
+//! A pixel is blind after each event. The faster its events follow each other, the larger the change of light
+//! per event: `change = threshold * interval / (interval - blind)` for steady light, which is fitted. Without
+//! a blind time the change per event does not depend on the interval, whatever the scene.
+//!
+//! Limits: frames that average over a large part of their period are evaluated by [`super::means`]; finer
+//! delays, and bandwidths that depend on light, by tests that estimate the scene. A wrong threshold changes
+//! neither estimate. Estimates have an error of up to a third.
 
 use super::array::{half, lowest};
 use super::departure::{Departure, NATS};
@@ -20,18 +21,18 @@ use photocurrent_scene::case::{Case, PixelEvent};
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::statistics::quantile;
 
-/// Exposures longer than this share of the period say too little.
+/// Longest exposure that is evaluated, as a share of the frame period.
 pub(super) const LONGEST_EXPOSURE: f64 = 0.25;
-/// So few changes decide nothing.
+/// Least number of changes for a test.
 pub(super) const FEWEST: usize = 1000;
-/// A frame value must be so many standard deviations of its noise above black.
+/// Least signal of a frame value, standard deviations of its noise above black.
 pub(super) const SIGNAL: f64 = 12.0;
 /// And below this share of saturation.
 pub(super) const FULL: f64 = 0.98;
 /// Shifts that are tried, as a share of the frame period each way, and how many.
 const REACH: f64 = 0.4;
 const SHIFTS: i64 = 40;
-/// A delay counts from 1 ms on,
+/// Least delay that is reported, ns,
 pub(super) const DELAY_NS: f64 = 1e6;
 /// from this share of the exposure,
 const DELAY_EXPOSURES: f64 = 0.3;
@@ -47,7 +48,7 @@ const BLIND_EXPOSURES: f64 = 0.05;
 
 /// Two frames that follow each other, in a pixel.
 #[derive(Clone, Copy, Debug)]
-struct Change {
+struct FrameChange {
     pixel: usize,
     /// From the middle of one exposure to that of the next, ns.
     span: (i64, i64),
@@ -56,16 +57,16 @@ struct Change {
 }
 
 /// Log light and times of all frames.
-struct Changes {
-    all: Vec<Change>,
+struct FrameChanges {
+    all: Vec<FrameChange>,
     period_ns: f64,
     exposure_ns: f64,
 }
 
-impl Changes {
-    /// Of a recording; none where its frames are too few, or average over too much of their period. Pixels of
-    /// `masked` are left out.
-    fn of(case: &Case, nominal: &Nominal, masked: &[u32]) -> Option<Changes> {
+impl FrameChanges {
+    /// From a recording, without the pixels of `masked`. `None` where its frames are too few, or their
+    /// exposures too long a part of the period.
+    fn from_case(case: &Case, nominal: &Nominal, masked: &[u32]) -> Option<FrameChanges> {
         let frames = case.frames.as_ref().filter(|frames| frames.times.len() >= 5)?;
         let exposures = &frames.times.exposures;
         let count = exposures.len();
@@ -83,33 +84,37 @@ impl Changes {
         };
         let mut all = Vec::new();
         for pixel in (0..case.extent.pixels()).filter(|&pixel| {
-            !case.events.of(pixel).is_empty() && masked.binary_search(&(pixel as u32)).is_err()
+            !case.events.of_pixel(pixel).is_empty() && masked.binary_search(&(pixel as u32)).is_err()
         }) {
-            let y = case.place(pixel).1;
+            let y = case.pixel_place(pixel).1;
             let middle = |frame: usize| {
                 let exposure = frames.times.exposure(frame, y);
                 i64::midpoint(exposure.start.0, exposure.end.0)
             };
             for frame in 1..count {
                 if let (Some(before), Some(after)) = (log(frame - 1, pixel), log(frame, pixel)) {
-                    all.push(Change { pixel, span: (middle(frame - 1), middle(frame)), log: after - before });
+                    all.push(FrameChange {
+                        pixel,
+                        span: (middle(frame - 1), middle(frame)),
+                        log: after - before,
+                    });
                 }
             }
         }
-        Some(Changes { all, period_ns, exposure_ns })
+        Some(FrameChanges { all, period_ns, exposure_ns })
     }
 }
 
 /// Sums for a least-squares fit of one number by up to three others.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Sums {
+pub(super) struct RegressionSums {
     products: [[f64; 3]; 3],
     with: [f64; 3],
     square: f64,
     count: f64,
 }
 
-impl Sums {
+impl RegressionSums {
     pub(super) fn add(&mut self, by: [f64; 3], value: f64) {
         for a in 0..3 {
             for b in 0..3 {
@@ -121,7 +126,7 @@ impl Sums {
         self.count += 1.0;
     }
 
-    pub(super) fn and(&self, other: &Sums) -> Sums {
+    pub(super) fn plus(&self, other: &RegressionSums) -> RegressionSums {
         let mut sum = *self;
         for a in 0..3 {
             for b in 0..3 {
@@ -159,7 +164,7 @@ impl Sums {
     }
 
     /// Sum of squares that factors leave.
-    pub(super) fn left(&self, factors: [f64; 3]) -> f64 {
+    pub(super) fn residual_squares(&self, factors: [f64; 3]) -> f64 {
         let mut left = self.square;
         for a in 0..3 {
             left -= 2.0 * factors[a] * self.with[a];
@@ -169,56 +174,57 @@ impl Sums {
     }
 }
 
-/// One half of the changes predicted with what the other half says.
-pub(super) struct Predicted {
-    pub these: Sums,
-    pub from: Sums,
+/// Changes of one half, predicted with the fit of the other half.
+pub(super) struct CrossPrediction {
+    pub these: RegressionSums,
+    pub from: RegressionSums,
     pub factors: [f64; 3],
 }
 
-impl Predicted {
+impl CrossPrediction {
     /// With the factors that are best on `from`; none where they cannot be separated.
-    pub(super) fn new(these: Sums, from: Sums, n: usize) -> Option<Predicted> {
-        Some(Predicted { these, from, factors: from.solve(n)? })
+    pub(super) fn new(these: RegressionSums, from: RegressionSums, n: usize) -> Option<CrossPrediction> {
+        Some(CrossPrediction { these, from, factors: from.solve(n)? })
     }
 
     /// Normal errors, of the size that they have in `from`; nats.
     pub(super) fn log_likelihood(&self) -> f64 {
-        let variance = f64::max(self.from.left(self.factors) / f64::max(self.from.count, 1.0), 1e-12);
-        -0.5 * (self.these.count * libm::log(variance) + self.these.left(self.factors) / variance)
+        let variance =
+            f64::max(self.from.residual_squares(self.factors) / f64::max(self.from.count, 1.0), 1e-12);
+        -0.5 * (self.these.count * libm::log(variance) + self.these.residual_squares(self.factors) / variance)
     }
 }
 
 /// Sums of both halves for shifts of the events, from the earliest to the latest.
-pub(super) struct Shifts {
+pub(super) struct ShiftSums {
     step_ns: f64,
-    tried: Vec<[Sums; 2]>,
+    tried: Vec<[RegressionSums; 2]>,
 }
 
-impl Shifts {
-    /// Adds up to each shift's sums what `add` says of it, item by item: what is known of an item is at hand
-    /// for all shifts. Events are moved earlier by the shift, ns.
-    pub(super) fn tried<T>(
+impl ShiftSums {
+    /// Accumulates the sums of every shift, item by item, with `add`. Events are moved earlier by the shift,
+    /// ns.
+    pub(super) fn over_shifts<T>(
         period_ns: f64,
         items: impl IntoIterator<Item = T>,
-        add: impl Fn(&T, i64, &mut [Sums; 2]),
-    ) -> Shifts {
+        add: impl Fn(&T, i64, &mut [RegressionSums; 2]),
+    ) -> ShiftSums {
         let step_ns = REACH * period_ns / SHIFTS as f64;
-        let mut tried: Vec<(i64, [Sums; 2])> =
+        let mut tried: Vec<(i64, [RegressionSums; 2])> =
             (-SHIFTS..=SHIFTS).map(|k| ((k as f64 * step_ns).round() as i64, Default::default())).collect();
         for item in items {
             tried.iter_mut().for_each(|(shift_ns, sums)| add(&item, *shift_ns, sums));
         }
-        Shifts { step_ns, tried: tried.into_iter().map(|(_, sums)| sums).collect() }
+        ShiftSums { step_ns, tried: tried.into_iter().map(|(_, sums)| sums).collect() }
     }
 
-    fn left(sums: &Sums) -> f64 {
-        sums.solve(2).map_or(f64::INFINITY, |factors| sums.left(factors))
+    fn least_residual(sums: &RegressionSums) -> f64 {
+        sums.solve(2).map_or(f64::INFINITY, |factors| sums.residual_squares(factors))
     }
 
-    /// By how much events come late, ns; none at the rim.
+    /// Delay of the events, ns; `None` at the end of the searched range.
     pub(super) fn best_ns(&self) -> Option<f64> {
-        let curve: Vec<f64> = self.tried.iter().map(|[a, b]| Shifts::left(&a.and(b))).collect();
+        let curve: Vec<f64> = self.tried.iter().map(|[a, b]| ShiftSums::least_residual(&a.plus(b))).collect();
         Some((lowest(&curve)? - SHIFTS as f64) * self.step_ns)
     }
 
@@ -227,20 +233,22 @@ impl Shifts {
         let unmoved = &self.tried[SHIFTS as usize];
         let gain = |side: usize| -> Option<f64> {
             let other = 1 - side;
-            let moved = self
-                .tried
-                .iter()
-                .min_by(|a, b| Shifts::left(&a[other]).total_cmp(&Shifts::left(&b[other])))?;
-            let better = Predicted::new(moved[side], moved[other], 2)?;
-            Some(better.log_likelihood() - Predicted::new(unmoved[side], unmoved[other], 2)?.log_likelihood())
+            let moved = self.tried.iter().min_by(|a, b| {
+                ShiftSums::least_residual(&a[other]).total_cmp(&ShiftSums::least_residual(&b[other]))
+            })?;
+            let better = CrossPrediction::new(moved[side], moved[other], 2)?;
+            Some(
+                better.log_likelihood()
+                    - CrossPrediction::new(unmoved[side], unmoved[other], 2)?.log_likelihood(),
+            )
         };
         gain(0).zip(gain(1)).map_or(0.0, |(a, b)| a + b)
     }
 }
 
-/// Events of a pixel at the middle of the light that they stand for: what made their step before them, and
-/// what is lost after them while the pixel is blind. The next interval of the same sign stands in where it is
-/// shorter, and `usual_ns` where there is none.
+/// Events of a pixel, each at the middle of the light that it stands for: its step before it, and the light
+/// lost in the blind time after it. The next interval of the same sign is used where it is shorter, and
+/// `usual_ns` where there is none.
 pub(super) fn centred(events: &[PixelEvent], usual_ns: i64, blind_ns: i64) -> impl Iterator<Item = i64> {
     let interval = |a: usize, b: usize| {
         (events[a].polarity == events[b].polarity).then(|| events[b].t_in_ns - events[a].t_in_ns)
@@ -256,7 +264,7 @@ pub(super) fn centred(events: &[PixelEvent], usual_ns: i64, blind_ns: i64) -> im
 
 /// Intervals between events of one sign, rising, ns.
 pub(super) fn intervals(case: &Case) -> Vec<i64> {
-    let pairs = (0..case.events.pixels()).flat_map(|pixel| case.events.of(pixel).windows(2));
+    let pairs = (0..case.events.pixels()).flat_map(|pixel| case.events.of_pixel(pixel).windows(2));
     let mut all: Vec<i64> = pairs
         .filter(|pair| pair[0].polarity == pair[1].polarity)
         .map(|pair| pair[1].t_in_ns - pair[0].t_in_ns)
@@ -265,23 +273,28 @@ pub(super) fn intervals(case: &Case) -> Vec<i64> {
     all
 }
 
-/// What changes between frames show: a blind time, and a delay. The blind time does not ask for the delay
-/// exactly, the delay does for the blind time.
+/// Findings from changes between frames: a blind time and a delay. The blind time is insensitive to the
+/// delay; the delay depends on the blind time.
 pub(super) fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Departure> {
-    let Some(changes) = Changes::of(case, nominal, masked) else { return Vec::new() };
+    let Some(changes) = FrameChanges::from_case(case, nominal, masked) else { return Vec::new() };
     let stated_ns = nominal.pixel.refractory_ns;
-    let (late_ns, as_stated) = late(case, nominal, &changes, stated_ns);
+    let (late_ns, as_stated) = event_delay(case, nominal, &changes, stated_ns);
     let Some(blind) = blind(case, nominal, &changes, late_ns) else { return as_stated.into_iter().collect() };
     let blind_ns = blind.parameters.first().map_or(stated_ns, |(_, seconds)| (seconds * 1e9) as i64);
-    late(case, nominal, &changes, blind_ns).1.into_iter().chain([blind]).collect()
+    event_delay(case, nominal, &changes, blind_ns).1.into_iter().chain([blind]).collect()
 }
 
-/// By how much events come later than the frames say, ns (less is earlier), and the finding when that is an
-/// offset; pixels are blind for `blind_ns`.
-fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f64, Option<Departure>) {
+/// Delay of events after frames, ns (negative = early), and the finding where it is an offset. Pixels are
+/// blind for `blind_ns`.
+fn event_delay(
+    case: &Case,
+    nominal: &Nominal,
+    changes: &FrameChanges,
+    blind_ns: i64,
+) -> (f64, Option<Departure>) {
     let usual_ns = quantile(&intervals(case), 0.5);
     let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
-    let large: Vec<&Change> = changes.all.iter().filter(|change| change.log.abs() > threshold).collect();
+    let large: Vec<&FrameChange> = changes.all.iter().filter(|change| change.log.abs() > threshold).collect();
     if large.len() < FEWEST {
         return (0.0, None);
     }
@@ -291,7 +304,7 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
     let mut place = Vec::with_capacity(large.len());
     for (k, change) in large.iter().enumerate() {
         if k == 0 || large[k - 1].pixel != change.pixel {
-            let events = case.events.of(change.pixel);
+            let events = case.events.of_pixel(change.pixel);
             plain.push(events.iter().map(|event| (event.t_in_ns, event.polarity)).collect());
             let mut middle: Vec<(i64, i8)> = centred(events, usual_ns, blind_ns)
                 .zip(events)
@@ -303,13 +316,17 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
         place.push(plain.len() - 1);
     }
     let shifted = |events: &[Vec<(i64, i8)>]| {
-        Shifts::tried(changes.period_ns, large.iter().zip(&place), |(change, place), shift_ns, sums| {
-            let events = &events[**place];
-            let at = |t_ns: i64| events.partition_point(|event| event.0 < t_ns + shift_ns);
-            let within = &events[at(change.span.0)..at(change.span.1)];
-            let on = within.iter().filter(|event| event.1 > 0).count() as f64;
-            sums[half(case, change.pixel)].add([on, on - within.len() as f64, 0.0], change.log);
-        })
+        ShiftSums::over_shifts(
+            changes.period_ns,
+            large.iter().zip(&place),
+            |(change, place), shift_ns, sums| {
+                let events = &events[**place];
+                let at = |t_ns: i64| events.partition_point(|event| event.0 < t_ns + shift_ns);
+                let within = &events[at(change.span.0)..at(change.span.1)];
+                let on = within.iter().filter(|event| event.1 > 0).count() as f64;
+                sums[half(case, change.pixel)].add([on, on - within.len() as f64, 0.0], change.log);
+            },
+        )
     };
     let of_shift = shifted(&middles);
     let Some(late_ns) = of_shift.best_ns() else { return (0.0, None) };
@@ -322,8 +339,8 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
     if late_ns.abs() < least || nats < NATS || is_loss {
         return (late_ns, None);
     }
-    let within = |change: &Change| {
-        let at = |t_ns: i64| case.events.of(change.pixel).partition_point(|event| event.t_in_ns < t_ns);
+    let within = |change: &FrameChange| {
+        let at = |t_ns: i64| case.events.of_pixel(change.pixel).partition_point(|event| event.t_in_ns < t_ns);
         at(change.span.1) - at(change.span.0)
     };
     let raw_ns = shifted(&plain).best_ns().unwrap_or(late_ns);
@@ -336,12 +353,12 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
         if late_ns > 0.0 { "earlier" } else { "later" },
         raw_ns.abs() * 1e-6
     );
-    let finding = Departure::of_halves("clock_offset", ("offset", late_ns * 1e-9), nats, events, seen);
+    let finding = Departure::from_halves("clock_offset", ("offset", late_ns * 1e-9), nats, events, seen);
     (late_ns, Some(finding))
 }
 
 /// Events of one sign between two frames.
-struct Run {
+struct EventRun {
     half: usize,
     is_on: bool,
     /// How far the log light went their way.
@@ -350,7 +367,7 @@ struct Run {
     intervals: Vec<i64>,
 }
 
-impl Run {
+impl EventRun {
     /// The events, and the light that is lost for one threshold and a blind time of 1 s: the first event's is
     /// that of the others on average.
     fn terms(&self, blind_ns: f64) -> (f64, f64) {
@@ -364,10 +381,10 @@ impl Run {
     }
 }
 
-/// Sums of both halves: thresholds of ON and OFF, and what is lost with a blind time that is `free`, or else
-/// as it is assumed.
-fn sums_of(runs: &[Run], blind_ns: f64, is_free: bool) -> [Sums; 2] {
-    let mut sums = [Sums::default(); 2];
+/// Regression sums of both halves: ON and OFF thresholds, and the loss by a blind time that is `free` or
+/// fixed.
+fn sums_of(runs: &[EventRun], blind_ns: f64, is_free: bool) -> [RegressionSums; 2] {
+    let mut sums = [RegressionSums::default(); 2];
     for run in runs {
         let (events, lost) = run.terms(blind_ns);
         let seen = if is_free { events } else { events + blind_ns * 1e-9 * lost };
@@ -377,15 +394,15 @@ fn sums_of(runs: &[Run], blind_ns: f64, is_free: bool) -> [Sums; 2] {
     sums
 }
 
-/// A blind time longer than stated: light goes further for an event where events follow each other faster.
-/// `late_ns` is by how much events come late.
-fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Option<Departure> {
+/// A blind time longer than stated: the change of light per event grows with the event rate. `late_ns`: delay
+/// of the events.
+fn blind(case: &Case, nominal: &Nominal, changes: &FrameChanges, late_ns: f64) -> Option<Departure> {
     let late = late_ns.round() as i64;
-    let runs: Vec<Run> = changes
+    let runs: Vec<EventRun> = changes
         .all
         .iter()
         .filter_map(|change| {
-            let events = case.events.of(change.pixel);
+            let events = case.events.of_pixel(change.pixel);
             let at = |t_ns: i64| events.partition_point(|event| event.t_in_ns < t_ns + late);
             let within = &events[at(change.span.0)..at(change.span.1)];
             let first = within.first().filter(|first| {
@@ -394,7 +411,7 @@ fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Opt
             let intervals: Vec<i64> =
                 within.windows(2).map(|pair| pair[1].t_in_ns - pair[0].t_in_ns).collect();
             let is_on = first.polarity > 0;
-            intervals.iter().all(|interval| *interval > 0).then(|| Run {
+            intervals.iter().all(|interval| *interval > 0).then(|| EventRun {
                 half: half(case, change.pixel),
                 is_on,
                 log: if is_on { change.log } else { -change.log },
@@ -410,7 +427,7 @@ fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Opt
     let short_ns = quantile(&within, 0.02) as f64;
     // What is lost goes with the interval less the blind time, which is not known before: a few rounds.
     let blind_ns = |factors: [f64; 3]| factors[2] / (0.5 * (factors[0] + factors[1])) * 1e9;
-    let fit = |of: &dyn Fn([Sums; 2]) -> Sums| -> Option<(f64, f64)> {
+    let fit = |of: &dyn Fn([RegressionSums; 2]) -> RegressionSums| -> Option<(f64, f64)> {
         let (mut assumed, mut found) = (0.0, 0.0);
         for _ in 0..20 {
             found = blind_ns(of(sums_of(&runs, assumed, true)).solve(3)?);
@@ -418,9 +435,9 @@ fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Opt
         }
         Some((found, assumed))
     };
-    let (found_ns, _) = fit(&|[a, b]| a.and(&b))?;
+    let (found_ns, _) = fit(&|[a, b]| a.plus(&b))?;
     let stated_ns = nominal.pixel.refractory_ns as f64;
-    // A blind time longer than the shortest intervals contradicts them.
+    // A blind time longer than the shortest intervals is impossible.
     if found_ns - stated_ns < f64::max(BLIND_INTERVALS * short_ns, BLIND_EXPOSURES * changes.exposure_ns)
         || found_ns > 1.2 * short_ns
     {
@@ -431,8 +448,8 @@ fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Opt
         let other = 1 - side;
         let (_, assumed) = fit(&|halves| halves[other])?;
         let blind = sums_of(&runs, assumed, true);
-        let better = Predicted::new(blind[side], blind[other], 3)?;
-        Some(better.log_likelihood() - Predicted::new(stated[side], stated[other], 2)?.log_likelihood())
+        let better = CrossPrediction::new(blind[side], blind[other], 3)?;
+        Some(better.log_likelihood() - CrossPrediction::new(stated[side], stated[other], 2)?.log_likelihood())
     };
     let nats = gain(0)? + gain(1)?;
     if nats < NATS {
@@ -448,7 +465,7 @@ fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Opt
         found_ns * 1e-3,
         shortest * 1e-3
     );
-    Some(Departure::of_halves(
+    Some(Departure::from_halves(
         "refractory",
         ("refractory", value_ns * 1e-9),
         nats,

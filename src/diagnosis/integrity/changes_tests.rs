@@ -1,5 +1,4 @@
-//! Light that rises and falls steadily, at a speed of each pixel's own, seen by a comparator that is written
-//! out here.
+//! Triangular light, at a speed of each pixel's own, and a comparator written out here.
 
 use super::Departure;
 use super::changes::findings;
@@ -68,7 +67,7 @@ pub(super) fn seeded(seed: u64, late_ns: i64, blind_ns: i64) -> Case {
     }
 }
 
-fn found(case: &Case) -> (Option<Departure>, Option<Departure>) {
+fn clock_and_refractory(case: &Case) -> (Option<Departure>, Option<Departure>) {
     let all = findings(case, &case.nominal().unwrap(), &[]);
     let of = |id: &str| all.iter().find(|finding| finding.id == id).cloned();
     (of("clock_offset"), of("refractory"))
@@ -76,13 +75,13 @@ fn found(case: &Case) -> (Option<Departure>, Option<Departure>) {
 
 #[test]
 fn a_sensor_as_stated_but_for_its_thresholds_is_neither_late_nor_blind() {
-    assert_eq!(found(&camera(0, 0)), (None, None));
+    assert_eq!(clock_and_refractory(&camera(0, 0)), (None, None));
 }
 
 #[test]
 fn events_of_a_late_clock_show_by_how_much() {
     for late_ms in [4.0, -7.0] {
-        let (offset, blind) = found(&camera((late_ms * 1e6) as i64, 0));
+        let (offset, blind) = clock_and_refractory(&camera((late_ms * 1e6) as i64, 0));
         let offset = offset.unwrap();
         assert!((offset.parameters[0].1 * 1e3 - late_ms).abs() < 0.5, "{offset:?}");
         assert!(offset.heldout.unwrap().nats > 100.0, "{offset:?}");
@@ -94,7 +93,7 @@ fn events_of_a_late_clock_show_by_how_much() {
 fn events_that_are_early_by_less_than_an_interval_have_no_name() {
     // The shortest intervals are 5 ms: pixels that are blind for 3 ms lose light after their events, and
     // these look as early.
-    assert_eq!(found(&camera(-3_000_000, 0)), (None, None));
+    assert_eq!(clock_and_refractory(&camera(-3_000_000, 0)), (None, None));
 }
 
 #[test]
@@ -102,19 +101,19 @@ fn light_that_is_lost_after_events_is_a_blind_time() {
     // With a threshold of 0.24 and slopes of 11 to 50 per second, events are 8 to 25 ms apart; 3 ms of that
     // is blind.
     let mut case = camera(0, 3_000_000);
-    let (offset, blind) = found(&case);
+    let (offset, blind) = clock_and_refractory(&case);
     let blind = blind.unwrap();
     assert!((blind.parameters[0].1 / 3e-3 - 1.0).abs() < 0.2, "{blind:?}");
     assert!(blind.heldout.unwrap().nats > 100.0, "{blind:?}");
     assert!(offset.is_none(), "{offset:?}");
     // Stated, it is no finding.
     case.sensor.readout.refractory = Some(photocurrent_core::quantity::Duration::new(3_000_000));
-    assert_eq!(found(&case), (None, None));
+    assert_eq!(clock_and_refractory(&case), (None, None));
 }
 
 #[test]
 fn both_at_once_are_separated() {
-    let (offset, blind) = found(&camera(5_000_000, 2_000_000));
+    let (offset, blind) = clock_and_refractory(&camera(5_000_000, 2_000_000));
     let (offset, blind) = (offset.unwrap(), blind.unwrap());
     assert!((offset.parameters[0].1 - 5e-3).abs() < 0.7e-3, "{offset:?}");
     assert!((blind.parameters[0].1 / 2e-3 - 1.0).abs() < 0.3, "{blind:?}");
@@ -129,5 +128,5 @@ fn frames_that_average_over_their_period_decide_nothing() {
             .collect();
         frames.times = FrameTimes::new(exposures, 0).unwrap();
     }
-    assert_eq!(found(&case), (None, None));
+    assert_eq!(clock_and_refractory(&case), (None, None));
 }

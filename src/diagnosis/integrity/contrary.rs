@@ -1,26 +1,26 @@
-//! Events against the light: one of the other sign between two of a pixel, while all around it goes their
-//! way.
+//! Noise events against the direction of light: one event of the other sign between two of a pixel, while all
+//! pixels around it fire with the first sign only.
 //!
-//! Where a pixel fires twice with the same sign, and the eight around it have fired so too in between and
-//! never otherwise, the light went one way. An event of the other sign there has no light: it is noise. The
-//! time between such pairs is how long was watched, so the rate of what came against it is the rate of the
-//! noise, for each sign apart.
+//! Where a pixel fires twice with the same sign, and its eight neighbours fired so too in between and never
+//! otherwise, the light changed in one direction. An event of the other sign there has no light: it is noise.
+//! The time between such pairs is the observation time, so the rate of contrary events is the noise rate, for
+//! each sign separately.
 //!
-//! Limits: textures finer than three pixels, and scenes in which little moves, give little such time, and the
-//! test is silent. A shot that comes with the light is not seen, and need not be: as many come against it.
+//! Limits: textures finer than three pixels, and scenes with little motion, give little observation time, and
+//! the test abstains. Noise in the direction of light is not detected. It need not be: its rate is the same.
 
 use super::departure::Departure;
 use photocurrent_scene::case::Case;
 
 /// The eight around must have fired so often between the two.
 const NEIGHBOURS: usize = 8;
-/// Fewer events against the light decide nothing.
+/// Least number of contrary events.
 const FEWEST: usize = 25;
 /// As a share of all events.
 const SHARE: f64 = 6e-4;
 /// And as a rate, Hz a pixel: small objects cross a pixel alone now and then.
 const LEAST_RATE_HZ: f64 = 2.0;
-/// They must come from so many different pixels, as a share of their number,
+/// Least number of different pixels, as a share of the contrary events,
 const PIXELS: f64 = 0.5;
 /// and in so many of [`PARTS`] parts of the recording.
 const STEADY: usize = 9;
@@ -40,7 +40,7 @@ impl OfSign {
             first.push(t_ns.len());
             t_ns.extend(
                 case.events
-                    .of(pixel)
+                    .of_pixel(pixel)
                     .iter()
                     .filter(|event| event.polarity.signum() == sign)
                     .map(|event| event.t_in_ns),
@@ -50,33 +50,33 @@ impl OfSign {
         OfSign { first, t_ns }
     }
 
-    /// How many of a pixel lie between two instants, both included.
-    fn between(&self, pixel: usize, (from, to): (i64, i64)) -> usize {
+    /// Number of events of a pixel between two instants, both included.
+    fn count_between(&self, pixel: usize, (from, to): (i64, i64)) -> usize {
         let of_pixel = &self.t_ns[self.first[pixel]..self.first[pixel + 1]];
         let rest = &of_pixel[of_pixel.partition_point(|t_ns| *t_ns < from)..];
         rest.iter().take_while(|t_ns| **t_ns <= to).count()
     }
 }
 
-/// Of one sign: events against the light (instant, pixel), and how long was watched, s.
+/// Contrary events of one sign (instant, pixel), and the observation time, s.
 #[derive(Default)]
-struct Against {
+struct ContraryEvents {
     events: Vec<(i64, usize)>,
     seconds: f64,
 }
 
-impl Against {
+impl ContraryEvents {
     fn rate_hz(&self) -> f64 {
         if self.seconds > 0.0 { self.events.len() as f64 / self.seconds } else { 0.0 }
     }
 }
 
-/// Events that come at random, seen where the light goes one way; pixels of `masked` are left out.
+/// Random events, counted where light changes in one direction. Pixels of `masked` are left out.
 pub(super) fn noise(case: &Case, masked: &[u32]) -> Option<Departure> {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let is_masked = |pixel: usize| masked.binary_search(&(pixel as u32)).is_ok();
     let signs = [OfSign::new(case, -1), OfSign::new(case, 1)];
-    let (mut off, mut on) = (Against::default(), Against::default());
+    let (mut off, mut on) = (ContraryEvents::default(), ContraryEvents::default());
     for pixel in (0..width * height).filter(|&pixel| !is_masked(pixel)) {
         let (x, y) = (pixel % width, pixel / width);
         let rows = y.saturating_sub(1)..(y + 2).min(height);
@@ -85,7 +85,7 @@ pub(super) fn noise(case: &Case, masked: &[u32]) -> Option<Departure> {
             .flat_map(|row| columns.clone().map(move |column| row * width + column))
             .filter(|&other| other != pixel && !is_masked(other))
             .collect();
-        let events = case.events.of(pixel);
+        let events = case.events.of_pixel(pixel);
         for (at, start) in events.iter().enumerate() {
             // The next of the same sign, with one of the other sign between them at most.
             let Some(ahead) = (1..=2)
@@ -96,9 +96,9 @@ pub(super) fn noise(case: &Case, masked: &[u32]) -> Option<Departure> {
             let span = (start.t_in_ns, events[at + ahead].t_in_ns);
             let (with, other) =
                 if start.polarity > 0 { (&signs[1], &signs[0]) } else { (&signs[0], &signs[1]) };
-            let goes_one_way = around.iter().map(|&near| with.between(near, span)).sum::<usize>()
+            let goes_one_way = around.iter().map(|&near| with.count_between(near, span)).sum::<usize>()
                 >= NEIGHBOURS
-                && around.iter().all(|&near| other.between(near, span) == 0);
+                && around.iter().all(|&near| other.count_between(near, span) == 0);
             if goes_one_way {
                 let against = if start.polarity > 0 { &mut off } else { &mut on };
                 against.seconds += (span.1 - span.0) as f64 * 1e-9;
@@ -111,7 +111,7 @@ pub(super) fn noise(case: &Case, masked: &[u32]) -> Option<Departure> {
     finding(case, &on, &off)
 }
 
-fn finding(case: &Case, on: &Against, off: &Against) -> Option<Departure> {
+fn finding(case: &Case, on: &ContraryEvents, off: &ContraryEvents) -> Option<Departure> {
     let all: Vec<(i64, usize)> = on.events.iter().chain(&off.events).copied().collect();
     let share = all.len() as f64 / case.events.len().max(1) as f64;
     let rate = on.rate_hz() + off.rate_hz();

@@ -1,19 +1,18 @@
-//! Events that come when the frame's row is read: the readout shakes the pixels of its row, and what is
-//! nearly due fires.
+//! Coupling of the frame readout into the events: the readout of a row shifts the voltage of its pixels, and
+//! those near a threshold fire.
 //!
-//! Where nothing moves ([`super::still`]) nearly all events are of that kind; where all moves, those of a
-//! strong impulse stand out of the others. Their time since the start of the frame, less a delay for every
-//! row, is tried for all delays at which the readout is over within a period; the delay that piles them up is
-//! the readout's, and the pile is the instant. One half of the array chooses, the other is predicted. Source:
-//! Brandli et al. (2014), the shared readout of DAVIS pixels.
+//! Where nothing moves ([`super::still`]) nearly all events are of that kind. Elsewhere those of a strong
+//! impulse stand out. Event times since the start of the frame, less a delay per row, are tested for all
+//! delays at which the readout ends within a period. The delay that concentrates the events is the readout's,
+//! and the peak is the instant. One half of the array selects, the other is predicted. Source: Brandli et al.
+//! (2014), the shared readout of DAVIS pixels.
 //!
-//! How strong an impulse is shows where light changes steadily: between two events of one sign the way that
-//! is left to the threshold is anywhere in the threshold, so an impulse of `step` fires in `step / threshold`
-//! of the pixels on their way. Limits: a front end that is slow, or an impulse that lasts, fires later events
-//! as well; they are not counted.
+//! The size of an impulse follows where light changes steadily. Between two events of one sign the distance
+//! to the threshold is uniform, so an impulse of `step` fires `step / threshold` of the pixels. Limit: a slow
+//! front end, or an impulse that lasts, fires later events as well; they are not counted.
 
 use super::array::half;
-use super::departure::{Departure, Heldout};
+use super::departure::{Departure, HalvesGain};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::statistics::quantile;
@@ -22,34 +21,34 @@ use photocurrent_scene::statistics::quantile;
 const BINS: usize = 50;
 /// Delays of rows that are tried, each way: the last is a readout that takes the whole period.
 const DELAYS: i64 = 2 * BINS as i64;
-/// So few events of one sign decide nothing.
+/// Least number of events of one sign.
 const FEWEST_EVENTS: usize = 30;
-/// Events where nothing moves must gain so much on the half that was not looked at, nats an event; as if half
-/// of them came in a fifth of the time.
+/// Least gain on the half that was not selected on, nats per event, where nothing moves: as if half of the
+/// events came in a fifth of the time.
 const NATS_AN_EVENT: f64 = 0.3;
 /// And in all.
 const NATS: f64 = 20.0;
-/// The fullest part must hold so many times the mean.
+/// Least ratio of the fullest bin to the mean.
 const PEAK: f64 = 5.0;
-/// And events of so many frames, as a share of the frames or of its events, whichever is less.
+/// Least share of the frames, or of the events where these are fewer, with an event in the bin.
 const FRAMES: f64 = 0.4;
-/// Without a delay of rows, light that flickers in step with the frames would do: events of one sign must be
-/// so many times those of the other.
+/// Least ratio of events of one sign to the other where the delay per row is 0: flicker in step with the
+/// frames looks alike.
 const LEAN: usize = 4;
-/// Of pixels that move, so many events are enough to look at.
+/// Number of events of moving pixels that are evaluated.
 const ENOUGH_EVENTS: usize = 40_000;
-/// A delay of rows counts when the readout takes at least so many parts of a period.
+/// Least duration of the readout, in parts of a period, for a delay per row.
 const SOME_ROWS: i64 = 3;
 
 /// Instants since the start of the frame, by row.
-struct Phases {
+struct ReadoutPhases {
     /// Row, time since the start of the frame before it (ns), frame, half of the array.
     events: Vec<(f64, f64, usize, usize)>,
     period: f64,
     height: f64,
 }
 
-impl Phases {
+impl ReadoutPhases {
     /// Delay of a row, ns: `number` of [`DELAYS`].
     fn delay(&self, number: i64) -> f64 {
         number as f64 * self.period / (DELAYS as f64 * self.height)
@@ -131,16 +130,16 @@ impl Phases {
     }
 }
 
-/// Events in step with the rows of the frame; `still` are the pixels in which nothing moves, `masked` those
-/// that are left out. Where still pixels decide nothing, all are asked.
+/// Events in step with the row readout. `still`: pixels in which nothing moves; where these are too few, all
+/// pixels are tested. `masked`: pixels left out.
 pub(super) fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -> Option<Departure> {
     let count = |pixels: &[u32], polarity: i8| -> usize {
-        let events = pixels.iter().map(|&pixel| case.events.of(pixel as usize));
+        let events = pixels.iter().map(|&pixel| case.events.of_pixel(pixel as usize));
         events.map(|events| events.iter().filter(|event| event.polarity == polarity).count()).sum()
     };
     let (on, off) = (count(still, 1), count(still, -1));
     let prevails = if on >= off { 1 } else { -1 };
-    let found = in_step(case, nominal, still, prevails, on.min(off), masked, "where nothing moves");
+    let found = test_polarity(case, nominal, still, prevails, on.min(off), masked, "where nothing moves");
     found.or_else(|| {
         let all: Vec<u32> =
             (0..case.extent.pixels() as u32).filter(|pixel| masked.binary_search(pixel).is_err()).collect();
@@ -150,15 +149,15 @@ pub(super) fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[
             |pixel: u32| f64::from(pixel.wrapping_mul(2_654_435_761)) < share * f64::from(u32::MAX);
         let some: Vec<u32> = all.into_iter().filter(|&pixel| is_drawn(pixel)).collect();
         let strongest = [1, -1].into_iter().filter_map(|polarity| {
-            in_step(case, nominal, &some, polarity, count(&some, -polarity), masked, "of all pixels")
+            test_polarity(case, nominal, &some, polarity, count(&some, -polarity), masked, "of all pixels")
         });
         strongest.max_by(|a, b| a.statistic.total_cmp(&b.statistic))
     })
 }
 
-/// The test on events of one sign of some pixels, which have `other` events of the other sign; `where_from`
-/// is the word for them.
-fn in_step(
+/// The test on events of one sign of `pixels`, which have `other` events of the other sign. `where_from`
+/// names these pixels in the report.
+fn test_polarity(
     case: &Case,
     nominal: &Nominal,
     pixels: &[u32],
@@ -229,17 +228,17 @@ fn in_step(
             since_start * 1e-6,
             delay * 1e-3
         ),
-        heldout: Some(Heldout { nats, events: phases.events.len() }),
+        heldout: Some(HalvesGain { nats, events: phases.events.len() }),
         ci95: Vec::new(),
     })
 }
 
 /// Instants of the events of one sign of some pixels since the start of the frame.
-fn phases_of(case: &Case, pixels: &[u32], polarity: i8, starts: &[i64], period: f64) -> Phases {
+fn phases_of(case: &Case, pixels: &[u32], polarity: i8, starts: &[i64], period: f64) -> ReadoutPhases {
     let width = case.extent.width as usize;
-    let mut phases = Phases { events: Vec::new(), period, height: f64::from(case.extent.height) };
+    let mut phases = ReadoutPhases { events: Vec::new(), period, height: f64::from(case.extent.height) };
     for &pixel in pixels {
-        for event in case.events.of(pixel as usize).iter().filter(|event| event.polarity == polarity) {
+        for event in case.events.of_pixel(pixel as usize).iter().filter(|event| event.polarity == polarity) {
             let frame = starts.partition_point(|start| *start <= event.t_off_ns);
             if (1..starts.len()).contains(&frame) {
                 let since = (event.t_off_ns - starts[frame - 1]) as f64;
@@ -255,10 +254,10 @@ fn phases_of(case: &Case, pixels: &[u32], polarity: i8, starts: &[i64], period: 
     phases
 }
 
-/// Jump of the front-end voltage at a readout, natural-log units with its sign; none when events of moving
-/// pixels do not come at readouts more often than around them.
+/// Step of the front-end voltage at a readout, natural-log units, signed. `None` where events of moving
+/// pixels are not more frequent at readouts than around them.
 ///
-/// `readout` is the time of row 0 since the start of a frame, the delay of a row and the period, ns.
+/// `readout` is (time of row 0 since the start of a frame, delay per row, period), ns.
 fn impulse(
     case: &Case,
     nominal: &Nominal,
@@ -271,12 +270,12 @@ fn impulse(
     let window = period / BINS as f64;
     let (mut hits, mut around, mut chances) = (0.0, 0.0, 0.0);
     for pixel in (0..case.events.pixels()).filter(|&pixel| masked.binary_search(&(pixel as u32)).is_err()) {
-        let row = f64::from(case.place(pixel).1);
+        let row = f64::from(case.pixel_place(pixel).1);
         // Time since the readout of row 0 of the first frame, in readouts of the own row.
         let readouts = |t_ns: i64| ((t_ns - starts[0]) as f64 - since_start - row * delay) / period;
         for pair in case
             .events
-            .of(pixel)
+            .of_pixel(pixel)
             .windows(2)
             .filter(|pair| pair[0].polarity == polarity && pair[1].polarity == polarity)
         {

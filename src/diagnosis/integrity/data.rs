@@ -1,8 +1,8 @@
-//! Recordings that contradict themselves, and those that hold too little.
+//! Inconsistent recordings, and those with too little data.
 
 use photocurrent_scene::case::{Case, CaseFrames};
 
-/// With fewer events nothing is said of the event path.
+/// Least number of events for any statement on the event path.
 pub(crate) const FEWEST_EVENTS: usize = 300;
 
 /// With fewer frames the two paths cannot be compared.
@@ -12,20 +12,20 @@ pub(crate) const FEWEST_FRAMES: usize = 3;
 /// events a pixel and second with all pixels firing.
 const FASTEST_HZ: f64 = 5_000.0;
 
-/// What makes the data useless, a sentence each.
-pub(crate) fn broken(case: &Case) -> Vec<String> {
+/// Reasons why the data cannot be used, one sentence each.
+pub(crate) fn unusable_data(case: &Case) -> Vec<String> {
     let mut why = Vec::new();
     if case.events.len() >= FEWEST_EVENTS {
         why.extend(broken_events(case));
     }
-    why.extend(apart(case));
+    why.extend(clocks_without_overlap(case));
     if let Some(frames) = &case.frames {
         why.extend(broken_frames(case, frames));
     }
     why
 }
 
-/// What makes the events useless.
+/// Reasons why the events cannot be used.
 fn broken_events(case: &Case) -> Vec<String> {
     let mut why = Vec::new();
     let events = &case.events;
@@ -51,12 +51,12 @@ fn broken_events(case: &Case) -> Vec<String> {
     }
     // A pixel cannot fire twice at one instant; a coarse grid makes a few equal, a broken clock nearly
     // all.
-    let pairs =
-        events.len() - (0..case.events.pixels()).filter(|&pixel| !case.events.of(pixel).is_empty()).count();
+    let pairs = events.len()
+        - (0..case.events.pixels()).filter(|&pixel| !case.events.of_pixel(pixel).is_empty()).count();
     let equal: usize = (0..case.events.pixels())
         .map(|pixel| {
             case.events
-                .of(pixel)
+                .of_pixel(pixel)
                 .windows(2)
                 .filter(|pair| pair[0].t_off_ns == pair[1].t_off_ns && pair[0].polarity == pair[1].polarity)
                 .count()
@@ -71,7 +71,7 @@ fn broken_events(case: &Case) -> Vec<String> {
     why
 }
 
-/// What makes the frames useless.
+/// Reasons why the frames cannot be used.
 fn broken_frames(case: &Case, frames: &CaseFrames) -> Vec<String> {
     let mut why = Vec::new();
     let known: Vec<f32> = frames.values().filter(|dn| dn.is_finite()).collect();
@@ -117,9 +117,9 @@ fn broken_frames(case: &Case, frames: &CaseFrames) -> Vec<String> {
     why
 }
 
-/// Events and frames that share no time: their clocks have different zeros, and nothing of one can be
-/// compared with the other.
-fn apart(case: &Case) -> Option<String> {
+/// Reason where events and frames do not overlap in time: their clocks have different zeros, so they cannot
+/// be compared.
+fn clocks_without_overlap(case: &Case) -> Option<String> {
     let events = &case.events;
     let frames = case.frames.as_ref().and_then(|frames| frames.times.span(case.extent.height))?;
     let first = events.iter().map(|event| event.t_off_ns).min()?;
@@ -142,8 +142,8 @@ pub(crate) fn is_enough(case: &Case) -> bool {
     case.events.len() >= FEWEST_EVENTS && case.frame_count() >= FEWEST_FRAMES
 }
 
-/// What there is too little of, a sentence each.
-pub(crate) fn lacking(case: &Case) -> Vec<String> {
+/// Data that are missing or too few, one sentence each.
+pub(crate) fn insufficient_data(case: &Case) -> Vec<String> {
     let mut why = Vec::new();
     let (events, frames) = (case.events.len(), case.frame_count());
     if events < FEWEST_EVENTS {

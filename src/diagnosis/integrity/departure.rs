@@ -1,17 +1,17 @@
-//! What a direct test finds.
+//! Findings of direct tests.
 
 use serde::{Deserialize, Serialize};
 
-/// A departure from the description that a direct test saw.
+/// A departure from the description that a direct test detected.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Departure {
     /// Catalogue id.
     pub id: &'static str,
-    /// Estimates by parameter, in the unit of its declaration; empty when the test gives none.
+    /// Estimates by parameter, in the unit of its declaration; empty where the test estimates none.
     pub parameters: Vec<(&'static str, f64)>,
-    /// What the test measured.
+    /// The test's statistic.
     pub statistic: f64,
-    /// The value from which it counts.
+    /// Its detection threshold.
     pub threshold: f64,
     /// Share of the events, or of the rows or pixels, that are touched.
     pub share: f64,
@@ -19,28 +19,29 @@ pub struct Departure {
     pub polarity: &'static str,
     /// Pixels that are touched (`y * width + x`, rising); empty = all.
     pub pixels: Vec<u32>,
-    /// What was seen, in a sentence.
+    /// The observation, in a sentence.
     pub seen: String,
-    /// What it gains on measurements that its estimate did not see; none where that was not worked out.
-    pub heldout: Option<Heldout>,
+    /// Gain on measurements that its estimate was not fitted to; `None` where it was not computed.
+    pub heldout: Option<HalvesGain>,
     /// 95 % intervals by parameter (`again`); those that were worked out.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub ci95: Vec<(&'static str, [f64; 2])>,
 }
 
-/// Nats that half of the array must gain by what is estimated on the other half.
+/// Least gain of one half of the array with the estimate of the other, nats.
 pub(super) const NATS: f64 = 30.0;
 
 impl Departure {
-    /// Of a test that predicts each half of the array from the other: `nats` in all, on so many events.
-    pub(crate) fn of_halves(
+    /// From a test that predicts each half of the array from the other: gain `nats` in all, over `events`
+    /// events.
+    pub(crate) fn from_halves(
         id: &'static str,
         parameter: (&'static str, f64),
         nats: f64,
         events: usize,
         seen: String,
     ) -> Departure {
-        let heldout = Some(Heldout { nats, events });
+        let heldout = Some(HalvesGain { nats, events });
         Departure {
             id,
             parameters: vec![parameter],
@@ -69,14 +70,14 @@ impl Departure {
 /// Gain in log-likelihood on one half of the blocks of pixels with what was estimated on the other, both
 /// ways.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Heldout {
+pub struct HalvesGain {
     /// Over the nominal description, nats.
     pub nats: f64,
     /// The events that it was measured on.
     pub events: usize,
 }
 
-impl Heldout {
+impl HalvesGain {
     /// Nats an event; 0 without events.
     pub fn per_event(&self) -> f64 {
         self.nats / self.events.max(1) as f64

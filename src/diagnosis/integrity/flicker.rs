@@ -4,8 +4,8 @@
 //! the array averages out, what is common to all pixels stays. Both paths see it: it is a property of the
 //! scene, and no fault of the sensor.
 
-use super::array::{LAMPS_HZ, LAMPS_STEP_NS, Stream, slow};
-use super::episodes::rhythm::Rhythm;
+use super::array::{EventsByTime, LAMPS_HZ, LAMPS_STEP_NS, slow_mean};
+use super::episodes::rhythm::EventRhythm;
 use crate::report::SceneProperty;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
@@ -17,7 +17,7 @@ const COHERENCE: f64 = 0.9;
 /// Shallower is not reported, as a share of the light.
 const SHALLOWEST: f64 = 0.02;
 /// The rhythm of the light, when there is one.
-pub(super) fn flicker(case: &Case, nominal: &Nominal, stream: &Stream) -> Vec<SceneProperty> {
+pub(super) fn flicker(case: &Case, nominal: &Nominal, stream: &EventsByTime) -> Vec<SceneProperty> {
     let Some((first, last)) = stream.span() else { return Vec::new() };
     let steps = ((last - first) / LAMPS_STEP_NS) as usize;
     // Three periods of the slowest, and enough steps.
@@ -32,7 +32,7 @@ pub(super) fn flicker(case: &Case, nominal: &Nominal, stream: &Stream) -> Vec<Sc
     let mut size = [0.0; ZONES * ZONES];
     for pixel in 0..width * height {
         size[zone(pixel)] += 1.0;
-        pixels[zone(pixel)] += if case.events.of(pixel).is_empty() { 0.0 } else { 1.0 };
+        pixels[zone(pixel)] += if case.events.of_pixel(pixel).is_empty() { 0.0 } else { 1.0 };
     }
     for event in &stream.0 {
         let step = (((event.t_ns - first) / LAMPS_STEP_NS) as usize).min(steps);
@@ -54,7 +54,7 @@ pub(super) fn flicker(case: &Case, nominal: &Nominal, stream: &Stream) -> Vec<Sc
                     level
                 })
                 .collect();
-            summed.iter().zip(slow(&summed)).map(|(value, slow)| value - slow).collect()
+            summed.iter().zip(slow_mean(&summed)).map(|(value, slow)| value - slow).collect()
         })
         .collect();
     if curves.len() < ZONES {
@@ -81,7 +81,7 @@ pub(super) fn flicker(case: &Case, nominal: &Nominal, stream: &Stream) -> Vec<Sc
 /// A rhythm, with its part of the array where it is there for a while: the thresholds of its events are the
 /// change of log light. One of the whole recording that is shallow may be a ripple of thresholds as well, and
 /// is none.
-pub(super) fn of_rhythm(nominal: &Nominal, rhythm: &Rhythm) -> Option<SceneProperty> {
+pub(super) fn property_of_rhythm(nominal: &Nominal, rhythm: &EventRhythm) -> Option<SceneProperty> {
     let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
     let depth = threshold * rhythm.amplitude / (std::f64::consts::TAU * rhythm.hz);
     let flicker = SceneProperty::flicker(rhythm.hz, depth);

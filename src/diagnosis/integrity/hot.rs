@@ -1,9 +1,9 @@
-//! Rows and pixels that fire by themselves: far more than those around them, all the time, whatever the scene
-//! does.
+//! Hot rows and hot pixels: they fire far more than their neighbours, all the time and independent of the
+//! scene.
 //!
-//! Rows come first, or each pixel of a hot row would count as a hot pixel. Counts are compared with
-//! neighbours' (the scene moves across all of them) and with the spread of that comparison over the array:
-//! where thresholds differ from pixel to pixel, unlike counts are no sign of anything.
+//! Rows are tested first, or each pixel of a hot row would count as a hot pixel. Counts are compared with
+//! those of neighbours (the scene moves across all of them) and with the spread of that comparison over the
+//! array. Where thresholds differ between pixels, unequal counts are not significant.
 
 use super::departure::Departure;
 use photocurrent_scene::case::Case;
@@ -17,26 +17,26 @@ pub(crate) const IDS: [&str; 2] = ["hot_rows", "hot_pixels"];
 const ROW_SIGMAS: f64 = 1.6;
 /// In this share of its pixels it must be more than both.
 const ROW_SHARE: f64 = 0.75;
-/// Its events and its frames must disagree by so many times as much as those around: a median of many pixels,
-/// which is the sharper.
+/// Least ratio of the disagreement of its events and frames to that of the rows around: a median of many
+/// pixels.
 const ROW_DISAGREES: f64 = 1.2;
 /// A pixel must have this many times the spread of the comparison.
 const PIXEL_SIGMAS: f64 = 8.0;
-/// And so many events more than half as many again.
+/// Least excess of events over 1.5 times the neighbours' count.
 const LEAST_EXCESS: f64 = 20.0;
 /// The excess must be there in this many of [`PARTS`] parts of the recording.
 const STEADY: usize = 10;
 const PARTS: usize = 12;
-/// And its events and its frames must disagree by so many times as much as those around.
+/// Least ratio of the disagreement of its events and frames to that of the pixels around.
 const DISAGREES: f64 = 2.0;
 
-/// Hot rows, and the pixels in them; pixels of `out` (rising) are not looked at.
+/// Hot rows, and their pixels. Pixels of `out` (rising) are left out.
 pub(crate) fn rows(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Option<Departure>, Vec<u32>) {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     if height < 8 || width < 8 {
         return (None, Vec::new());
     }
-    let count = |x: usize, y: usize| case.events.of(y * width + x).len() as f64;
+    let count = |x: usize, y: usize| case.events.of_pixel(y * width + x).len() as f64;
     let (mut hot, mut excess, mut strongest) = (Vec::new(), 0.0, 0.0_f64);
     let is_in = |x: usize, y: usize| out.binary_search(&((y * width + x) as u32)).is_err();
     let medians: Vec<f64> = (0..height)
@@ -114,7 +114,7 @@ pub(crate) fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u3
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let in_hot_row = masked.clone();
     let is_masked = |pixel: usize| in_hot_row.binary_search(&(pixel as u32)).is_ok();
-    let count = |pixel: usize| case.events.of(pixel).len() as f64;
+    let count = |pixel: usize| case.events.of_pixel(pixel).len() as f64;
     let around = |pixel: usize| -> Vec<usize> {
         let (x, y) = (pixel % width, pixel / width);
         let columns = x.saturating_sub(1)..(x + 2).min(width);
@@ -124,13 +124,15 @@ pub(crate) fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u3
             .collect()
     };
     let level = |pixel: usize| median(&mut around(pixel).into_iter().map(count).collect::<Vec<_>>());
-    let sound: Vec<usize> = (0..width * height).filter(|&pixel| !is_masked(pixel)).collect();
-    let sigmas: Vec<f64> =
-        sound.iter().map(|&pixel| (count(pixel) - level(pixel)) / libm::sqrt(level(pixel) + 1.0)).collect();
+    let unmasked: Vec<usize> = (0..width * height).filter(|&pixel| !is_masked(pixel)).collect();
+    let sigmas: Vec<f64> = unmasked
+        .iter()
+        .map(|&pixel| (count(pixel) - level(pixel)) / libm::sqrt(level(pixel) + 1.0))
+        .collect();
     let spread =
         f64::max(1.0, 1.4826 * median(&mut sigmas.iter().map(|sigma| sigma.abs()).collect::<Vec<_>>()));
     let (mut hot, mut strongest, mut excess) = (Vec::new(), 0.0_f64, 0.0);
-    for (&pixel, sigma) in sound.iter().zip(&sigmas) {
+    for (&pixel, sigma) in unmasked.iter().zip(&sigmas) {
         let is_unlike = || {
             let elsewhere = median(
                 &mut around(pixel)
@@ -153,7 +155,7 @@ pub(crate) fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u3
             excess += count(pixel) - level(pixel);
         }
     }
-    if hot.is_empty() || hot.len() * 20 > sound.len() {
+    if hot.is_empty() || hot.len() * 20 > unmasked.len() {
         return None;
     }
     masked.extend(&hot);
@@ -179,13 +181,12 @@ pub(crate) fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u3
     })
 }
 
-/// By how much the events of a pixel disagree with its frames: root mean square, over pairs of frames, of
-/// what events add up to less what the frames changed, natural-log units. A pixel that sees much fires much,
-/// and agrees with its frames; 0 where there are no frames.
+/// Root mean square difference, over pairs of frames, of the sum of a pixel's events and the change of its
+/// frames, natural-log units. A busy pixel that sees much change agrees with its frames. 0 without frames.
 fn disagreement(case: &Case, nominal: Option<&Nominal>, pixel: usize) -> f64 {
     let (Some(nominal), Some(frames)) = (nominal, &case.frames) else { return 0.0 };
-    let (_, row) = case.place(pixel);
-    let events = case.events.of(pixel);
+    let (_, row) = case.pixel_place(pixel);
+    let events = case.events.of_pixel(pixel);
     let signal = |frame: usize| f64::max(case.dn(frame, pixel) - nominal.number.black_level, 1.0);
     let middle = |frame: usize| {
         let exposure = frames.times.exposure(frame, row);
@@ -214,11 +215,11 @@ fn steady(case: &Case, pixels: &[usize], reference: impl Fn(usize) -> Vec<usize>
     let part = |t_ns: i64| (((t_ns - case.span.0) / length) as usize).min(PARTS - 1);
     let mut excess = [0.0; PARTS];
     for &pixel in pixels {
-        case.events.of(pixel).iter().for_each(|event| excess[part(event.t_in_ns)] += 1.0);
+        case.events.of_pixel(pixel).iter().for_each(|event| excess[part(event.t_in_ns)] += 1.0);
         let others = reference(pixel);
         for &other in &others {
             case.events
-                .of(other)
+                .of_pixel(other)
                 .iter()
                 .for_each(|event| excess[part(event.t_in_ns)] -= 1.0 / others.len() as f64);
         }
@@ -230,8 +231,8 @@ fn steady(case: &Case, pixels: &[usize], reference: impl Fn(usize) -> Vec<usize>
 fn polarity(case: &Case, pixels: &[u32]) -> &'static str {
     let (mut on, mut all) = (0, 0);
     for &pixel in pixels {
-        on += case.events.of(pixel as usize).iter().filter(|event| event.polarity > 0).count();
-        all += case.events.of(pixel as usize).len();
+        on += case.events.of_pixel(pixel as usize).iter().filter(|event| event.polarity > 0).count();
+        all += case.events.of_pixel(pixel as usize).len();
     }
     if on * 10 > all * 9 {
         "on"

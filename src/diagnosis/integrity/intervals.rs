@@ -1,8 +1,8 @@
-//! Intervals between events of a pixel: far shorter than the scene ever asks for (noise events, jitter), or
-//! piled up at their shortest (blind time).
+//! Intervals between events of a pixel: far shorter than any scene causes (noise events, jitter), or
+//! concentrated at their minimum (blind time).
 //!
-//! What the scene asks for is read off the intervals themselves: below 0.3 times their 2nd percentile there
-//! are none on a sound sensor, whatever moves.
+//! The scene's shortest intervals follow from the distribution itself: a nominal sensor has none below 0.3
+//! times the 2nd percentile, whatever moves.
 
 use super::departure::Departure;
 use super::stamps;
@@ -15,7 +15,7 @@ const SHORT: f64 = 0.3;
 /// This share of the reversals (events of the other sign than the one before) must be too short for noise
 /// events.
 const NOISE_REVERSALS: f64 = 0.003;
-/// And this share of all intervals: leaks give short reversals alone.
+/// Least share of all intervals: leaks cause short reversals alone.
 const NOISE_ALL: f64 = 0.0003;
 /// This share of the intervals must be too short for jitter, while reversals are not.
 const JITTER_ALL: f64 = 0.002;
@@ -24,12 +24,12 @@ const BLIND: f64 = 0.02;
 /// This share of the intervals must lie within 3 % of the shortest one for a blind time.
 const PILE: f64 = 0.03;
 
-/// What intervals show; pixels of `masked` are left out.
+/// Findings from intervals; pixels of `masked` are left out.
 pub(super) fn findings(case: &Case, nominal: Option<&Nominal>, masked: &[u32]) -> Vec<Departure> {
     let (mut all, mut reversals, mut blind) = (Vec::new(), Vec::new(), Vec::new());
     let mut events = 0;
     for pixel in (0..case.events.pixels()).filter(|&pixel| masked.binary_search(&(pixel as u32)).is_err()) {
-        let of_pixel = case.events.of(pixel);
+        let of_pixel = case.events.of_pixel(pixel);
         events += of_pixel.len();
         for pair in of_pixel.windows(2) {
             let interval = pair[1].t_in_ns - pair[0].t_in_ns;
@@ -62,7 +62,7 @@ fn too_short(sorted: &[i64]) -> (f64, f64) {
     (sorted.partition_point(|interval| (*interval as f64) < limit) as f64 / sorted.len() as f64, limit)
 }
 
-/// Events that come at random: some of them right after an event of the scene, of the other sign.
+/// Noise events: some follow an event of the scene at once, with the other sign.
 fn noise(all: &[i64], reversals: &[i64], events: usize) -> Option<Departure> {
     let ((share_all, _), (share, limit)) = (too_short(all), too_short(reversals));
     if share < NOISE_REVERSALS || share_all < NOISE_ALL {

@@ -1,21 +1,21 @@
-//! Counts of the whole array in windows of time: one and the same count again and again (something removes
-//! what is beyond it), and bursts in step with the frames.
+//! Event counts of the whole array in windows of time: one count that repeats (events beyond it are lost),
+//! and bursts in step with the frames.
 
-use super::array::Stream;
+use super::array::EventsByTime;
 use super::departure::Departure;
 use photocurrent_scene::case::Case;
 
 /// Lengths of windows that are tried, ns: those that programs use, and the resolutions of buffers.
 const WINDOWS_NS: [i64; 8] = [50_000, 100_000, 200_000, 500_000, 1_000_000, 2_000_000, 5_000_000, 10_000_000];
-/// So many windows must have the most frequent count.
+/// Least number of windows with the most frequent count.
 const FULL_WINDOWS: usize = 10;
-/// And so many times more than have each of the counts within five of it, on average.
+/// Least ratio to the mean number of windows with the counts within five of it.
 const FULL_OVER_NEXT: f64 = 5.0;
-/// Of all windows, so many may hold more: latencies carry events from one window into the next.
+/// Largest share of windows with more events: latencies carry events into the next window.
 const OVERFULL: f64 = 0.2;
 
-/// Windows that are full: above a count events are lost.
-pub(super) fn loss(case: &Case, stream: &Stream) -> Option<Departure> {
+/// Event loss: windows do not exceed a maximum count.
+pub(super) fn loss(case: &Case, stream: &EventsByTime) -> Option<Departure> {
     let (first, last) = stream.span()?;
     let mut found: Vec<(f64, Departure)> = Vec::new();
     for window in WINDOWS_NS.into_iter().filter(|window| (last - first) / window >= 30) {
@@ -30,8 +30,8 @@ pub(super) fn loss(case: &Case, stream: &Stream) -> Option<Departure> {
     found.into_iter().find(|(share, _)| *share >= 0.9 * most).map(|(_, finding)| finding)
 }
 
-/// Windows of one length that are full: their share, and what it means; none when there is no such count.
-fn full(case: &Case, stream: &Stream, window: i64, origin: i64) -> Option<(f64, Departure)> {
+/// Windows of one length at their maximum: their share, and the implied limit; `None` without such a count.
+fn full(case: &Case, stream: &EventsByTime, window: i64, origin: i64) -> Option<(f64, Departure)> {
     let counts = windows(stream, origin, window);
     let most = counts.iter().map(|count| count.0).max().unwrap_or(0);
     let mut with = vec![0_usize; most + 6];
@@ -71,8 +71,8 @@ fn full(case: &Case, stream: &Stream, window: i64, origin: i64) -> Option<(f64, 
     Some((with[cap] as f64 / counts.len() as f64, finding))
 }
 
-/// Of each window with events: how many, and how far into it the last one stands, ns.
-fn windows(stream: &Stream, origin: i64, window: i64) -> Vec<(usize, i64)> {
+/// For each window with events: their number, and the time of the last one since its start, ns.
+fn windows(stream: &EventsByTime, origin: i64, window: i64) -> Vec<(usize, i64)> {
     let mut counts: Vec<(usize, i64)> = Vec::new();
     let mut at = i64::MIN;
     for event in &stream.0 {
@@ -91,7 +91,7 @@ fn windows(stream: &Stream, origin: i64, window: i64) -> Vec<(usize, i64)> {
 const BINS: usize = 50;
 
 /// Bursts at one phase of the frames, of one sign, in nearly every frame.
-pub(super) fn frame_coupling(case: &Case, stream: &Stream) -> Option<Departure> {
+pub(super) fn frame_coupling(case: &Case, stream: &EventsByTime) -> Option<Departure> {
     let frames = case.frames.as_ref()?;
     let starts: Vec<i64> = frames.times.exposures.iter().map(|exposure| exposure.start.0).collect();
     let (first, last) = stream.span()?;
@@ -151,5 +151,5 @@ pub(super) fn frame_coupling(case: &Case, stream: &Stream) -> Option<Departure> 
     })
 }
 
-/// A burst has so many times the events of the bins around it.
+/// Least ratio of the events of a burst to those of the bins around it.
 const FRAME_RATIO: f64 = 2.0;

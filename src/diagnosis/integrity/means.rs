@@ -1,22 +1,22 @@
-//! Frames that average over a large part of their period, against the events within: events that come late,
-//! thresholds, and a current that events see and frames do not.
+//! Compares frames of long exposure with the events within them: late events, thresholds, and a dark current
+//! of the event path alone.
 //!
-//! Between two exposures, and within both, events say how far the log light went: a threshold each. From any
-//! thresholds, two frames of a pixel then follow from each other by the double integral (Pan et al., CVPR
-//! 2019, Eq. 8): the mean over an exposure of the exponential of what its events add up to. That is linear in
-//! small changes of the thresholds, with events weighted by the light that follows them, so thresholds are a
-//! least-squares fit, for every shift of the clock and for every dark current: events see `ln(i + current)`,
-//! so with one, it is that sum that their thresholds must explain. An event is taken at the middle of the
-//! light that it stands for ([`super::changes::centred`]), and earlier by the delay that is stated for its
-//! pixel's light.
+//! Each event stands for one threshold of log light, between two exposures and within them. For any
+//! thresholds, one frame of a pixel predicts the next by the double integral (Pan et al., CVPR 2019, Eq. 8):
+//! the mean over an exposure of the exponential of the summed events. That is linear in small changes of the
+//! thresholds, with events weighted by the light after them. So thresholds are a least-squares fit for every
+//! shift of the clock and every dark current. With a dark current events see `ln(i + current)`, and their
+//! thresholds must explain that sum. An event is placed at the middle of the light that it stands for
+//! ([`super::changes::centred`]), and earlier by the delay that is stated for its pixel's light.
 //!
-//! Limits: one delay for all pixels, so that a front end slower than stated looks like a clock; thresholds
-//! have an error of up to a tenth, as events that are lost make them look larger. Light that neighbours mix
-//! in, and frames whose black level is too low, look like a dark current.
+//! Limits: one delay for all pixels, so that a front end slower than stated looks like a clock offset.
+//! Thresholds have an error of up to a tenth, as lost events make them look larger. Light mixed in from
+//! neighbours, and a black level that is too low, look like a dark current.
 
 use super::array::{half, lowest};
 use super::changes::{
-    DELAY_NS, FEWEST, FULL, LONGEST_EXPOSURE, Predicted, SHORTEST, SIGNAL, Shifts, Sums, centred, intervals,
+    CrossPrediction, DELAY_NS, FEWEST, FULL, LONGEST_EXPOSURE, RegressionSums, SHORTEST, SIGNAL, ShiftSums,
+    centred, intervals,
 };
 use super::departure::{Departure, NATS};
 use super::still::noise_dn;
@@ -26,14 +26,14 @@ use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::statistics::{median, quantile};
 use photocurrent_sensor::front_end::time_constant;
 
-/// More pixels than make about so many pairs are not looked at.
+/// Number of pairs above which pixels are left out.
 const MOST: usize = 60_000;
-/// A delay counts from [`DELAY_NS`], from this share of the exposure, and from this share of the period on.
+/// Least delay that is reported: [`DELAY_NS`], this share of the exposure, and this share of the period.
 const DELAY_EXPOSURES: f64 = 0.05;
 const DELAY_PERIODS: f64 = 0.02;
 /// Thresholds that differ by less than this share are not proposed.
 const LEAST_SCALE: f64 = 0.05;
-/// A dark current counts from this share of the median light on.
+/// Least dark current that is reported, as a share of the median light.
 const LEAST_DARK: f64 = 0.1;
 /// Dark currents that are tried, as shares of the median light.
 const DARK: (f64, f64) = (0.01, 2.0);
@@ -41,8 +41,8 @@ const DARKS: usize = 36;
 
 /// Two frames of a pixel that follow each other.
 #[derive(Clone, Copy, Debug)]
-struct Pair {
-    /// Where the pixel's events stand.
+struct FramePair {
+    /// Index of the pixel's events.
     place: usize,
     half: usize,
     /// Exposures, ns.
@@ -51,7 +51,7 @@ struct Pair {
     light: [f64; 2],
 }
 
-impl Pair {
+impl FramePair {
     /// Change of the log of light and dark current.
     fn change(&self, dark: f64) -> f64 {
         libm::log((self.light[1] + dark) / (self.light[0] + dark))
@@ -64,29 +64,29 @@ impl Pair {
     }
 }
 
-/// An event at the middle of the light that it stands for, and what that is in thresholds of its sign: one,
-/// and what is lost while the pixel is blind after it.
+/// An event at the middle of the light that it stands for, and that light in thresholds of its sign: 1, and
+/// the loss in the blind time after it.
 #[derive(Clone, Copy, Debug)]
-struct Step {
+struct EventStep {
     t_ns: i64,
     polarity: i8,
     thresholds: f64,
 }
 
-/// Events of the pixels that are looked at, in order of time, and the pairs of their frames.
-struct Pairs {
-    events: Vec<Vec<Step>>,
-    all: Vec<Pair>,
+/// Events of the evaluated pixels, in order of time, and the pairs of their frames.
+struct FramePairs {
+    events: Vec<Vec<EventStep>>,
+    all: Vec<FramePair>,
     period_ns: f64,
     exposure_ns: f64,
     /// Median photocurrent.
     median: f64,
 }
 
-impl Pairs {
+impl FramePairs {
     /// Of a recording; none where its frames are few, or short enough for the tests of [`super::changes`] and
     /// [`super::steps`].
-    fn of(case: &Case, nominal: &Nominal, masked: &[u32]) -> Option<Pairs> {
+    fn from_case(case: &Case, nominal: &Nominal, masked: &[u32]) -> Option<FramePairs> {
         let frames = case.frames.as_ref().filter(|frames| frames.times.len() >= 5)?;
         let (period_ns, exposure_ns) =
             (frames.times.mean_period_ns()?, frames.times.nominal_exposure_ns()? as f64);
@@ -102,14 +102,15 @@ impl Pairs {
         };
         let pixels: Vec<usize> = (0..case.extent.pixels())
             .filter(|&pixel| {
-                case.events.of(pixel).len() > 1 && masked.binary_search(&(pixel as u32)).is_err()
+                case.events.of_pixel(pixel).len() > 1 && masked.binary_search(&(pixel as u32)).is_err()
             })
             .collect();
         let stride = (pixels.len() * frames.times.len()).div_ceil(MOST).max(1);
-        let mut pairs = Pairs { events: Vec::new(), all: Vec::new(), period_ns, exposure_ns, median: 0.0 };
+        let mut pairs =
+            FramePairs { events: Vec::new(), all: Vec::new(), period_ns, exposure_ns, median: 0.0 };
         let mut lights = Vec::new();
         for &pixel in pixels.iter().step_by(stride) {
-            let y = case.place(pixel).1;
+            let y = case.pixel_place(pixel).1;
             let begun = pairs.all.len();
             let mut sum = (0.0, 0.0);
             let mut before: Option<((i64, i64), f64)> = None;
@@ -118,7 +119,7 @@ impl Pairs {
                 let times = (exposure.start.0, exposure.end.0);
                 let now = light(frame, pixel, exposure.length_ns() as f64 * 1e-9).map(|light| (times, light));
                 if let (Some(before), Some(now)) = (before, now) {
-                    pairs.all.push(Pair {
+                    pairs.all.push(FramePair {
                         place: pairs.events.len(),
                         half: half(case, pixel),
                         exposures: [before.0, now.0],
@@ -134,34 +135,45 @@ impl Pairs {
                 let mean = sum.0 / sum.1;
                 lights.push(mean);
                 let slow_ns = (time_constant(&nominal.pixel.front_end, mean) * 1e9).round() as i64;
-                pairs.events.push(steps(case, nominal, case.events.of(pixel), usual_ns, slow_ns));
+                pairs.events.push(steps(case, nominal, case.events.of_pixel(pixel), usual_ns, slow_ns));
             }
         }
         pairs.median = median(&mut lights);
         (pairs.all.len() >= FEWEST).then_some(pairs)
     }
 
-    /// What the events of a pair say with these thresholds, moved earlier by `shift_ns`.
-    fn seen(&self, pair: &Pair, thresholds: (f64, f64), shift_ns: i64) -> Seen {
+    /// Linearises the pair around `thresholds`, its events moved earlier by `shift_ns`.
+    fn linearise(&self, pair: &FramePair, thresholds: (f64, f64), shift_ns: i64) -> LinearisedPair {
         let events = &self.events[pair.place];
         let [first, second] = pair.exposures;
         let from = |t_ns: i64| events.partition_point(|step| step.t_ns < t_ns + shift_ns);
         let (begin, to_second, end) = (from(first.0), from(second.0), from(second.1));
         let all = &events[begin..end];
-        let mut between = Level::default();
+        let mut between = StepSum::default();
         events[begin..to_second].iter().for_each(|step| between.add(step));
         let (a, b) = (
-            Mean::of(all, first, shift_ns, thresholds),
-            Mean::of(&events[to_second..end], second, shift_ns, thresholds),
+            ExposureMean::of_exposure(all, first, shift_ns, thresholds),
+            ExposureMean::of_exposure(&events[to_second..end], second, shift_ns, thresholds),
         );
         let change = between.log(thresholds) + b.log - a.log;
         let (on, off) = (between.on + b.level.on - a.level.on, between.off + b.level.off - a.level.off);
-        Seen { on, off, beyond: change - thresholds.0 * on - thresholds.1 * off, is_active: !all.is_empty() }
+        LinearisedPair {
+            on,
+            off,
+            beyond: change - thresholds.0 * on - thresholds.1 * off,
+            is_active: !all.is_empty(),
+        }
     }
 }
 
 /// The steps of a pixel's events, in order of time; `slow_ns` is how late its front end is.
-fn steps(case: &Case, nominal: &Nominal, events: &[PixelEvent], usual_ns: i64, slow_ns: i64) -> Vec<Step> {
+fn steps(
+    case: &Case,
+    nominal: &Nominal,
+    events: &[PixelEvent],
+    usual_ns: i64,
+    slow_ns: i64,
+) -> Vec<EventStep> {
     let is_losing = case.sensor.comparator.reset != Reset::Advance;
     let lost = |k: usize| -> f64 {
         let next = events.get(k + 1).filter(|next| is_losing && next.polarity == events[k].polarity);
@@ -172,9 +184,9 @@ fn steps(case: &Case, nominal: &Nominal, events: &[PixelEvent], usual_ns: i64, s
         })
     };
     let middles = centred(events, usual_ns, nominal.pixel.refractory_ns);
-    let mut steps: Vec<Step> = middles
+    let mut steps: Vec<EventStep> = middles
         .enumerate()
-        .map(|(k, t_ns)| Step {
+        .map(|(k, t_ns)| EventStep {
             t_ns: t_ns - slow_ns,
             polarity: events[k].polarity,
             thresholds: 1.0 + lost(k),
@@ -187,22 +199,22 @@ fn steps(case: &Case, nominal: &Nominal, events: &[PixelEvent], usual_ns: i64, s
 /// Of one pair: `change = beyond + on threshold_on + off threshold_off` to first order around the thresholds
 /// that were assumed.
 #[derive(Clone, Copy, Debug)]
-struct Seen {
+struct LinearisedPair {
     on: f64,
     off: f64,
     beyond: f64,
     is_active: bool,
 }
 
-/// How far events went: sums of thresholds, that of OFF negative.
+/// Summed events in thresholds, ON and OFF, that of OFF negative.
 #[derive(Clone, Copy, Debug, Default)]
-struct Level {
+struct StepSum {
     on: f64,
     off: f64,
 }
 
-impl Level {
-    fn add(&mut self, step: &Step) {
+impl StepSum {
+    fn add(&mut self, step: &EventStep) {
         if step.polarity > 0 { self.on += step.thresholds } else { self.off -= step.thresholds }
     }
 
@@ -211,23 +223,28 @@ impl Level {
     }
 }
 
-/// Over an exposure, from where the log light stands at its start.
-struct Mean {
+/// Mean over an exposure, relative to the log light at its start.
+struct ExposureMean {
     /// Logarithm of the mean light.
     log: f64,
-    /// What it changes with the thresholds.
-    level: Level,
+    /// Its derivative by the thresholds.
+    level: StepSum,
 }
 
-impl Mean {
+impl ExposureMean {
     /// Of the events from the start of an exposure on.
-    fn of(events: &[Step], (start_ns, end_ns): (i64, i64), shift_ns: i64, thresholds: (f64, f64)) -> Mean {
+    fn of_exposure(
+        events: &[EventStep],
+        (start_ns, end_ns): (i64, i64),
+        shift_ns: i64,
+        thresholds: (f64, f64),
+    ) -> ExposureMean {
         let length = (end_ns - start_ns) as f64;
-        let (mut level, mut since, mut light, mut sum) = (Level::default(), 0.0, 0.0, Level::default());
-        let mut hold = |level: &Level, share: f64| {
+        let (mut level, mut since, mut light, mut sum) = (StepSum::default(), 0.0, 0.0, StepSum::default());
+        let mut hold = |level: &StepSum, share: f64| {
             let held = libm::exp(level.log(thresholds)) * share;
             light += held;
-            sum = Level { on: sum.on + held * level.on, off: sum.off + held * level.off };
+            sum = StepSum { on: sum.on + held * level.on, off: sum.off + held * level.off };
         };
         for step in events {
             let at = (step.t_ns - shift_ns - start_ns) as f64 / length;
@@ -239,39 +256,44 @@ impl Mean {
             level.add(step);
         }
         hold(&level, 1.0 - since);
-        Mean { log: libm::log(light), level: Level { on: sum.on / light, off: sum.off / light } }
+        ExposureMean { log: libm::log(light), level: StepSum { on: sum.on / light, off: sum.off / light } }
     }
 }
 
-/// What pairs of frames say against the description. It is proposed, not found: whoever asks judges by frames
-/// that were held out ([`crate::judge`]).
+/// Proposals from pairs of frames. They are hypotheses, which held-out frames confirm or reject
+/// ([`crate::judge`]).
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Proposed {
+pub(crate) struct PairProposals {
     /// An offset of the clock.
     pub late: Option<Departure>,
-    /// Thresholds, and the same with a dark current; the simpler first, none that gains nothing.
+    /// Thresholds, and the same with a dark current: the simpler first, without those that gain nothing.
     pub contrast: Vec<Vec<Departure>>,
 }
 
 /// Of a recording, without the pixels of `masked`.
-pub(crate) fn proposed(case: &Case, nominal: &Nominal, masked: &[u32]) -> Proposed {
-    let Some(pairs) = Pairs::of(case, nominal, masked) else { return Proposed::default() };
+pub(crate) fn proposed(case: &Case, nominal: &Nominal, masked: &[u32]) -> PairProposals {
+    let Some(pairs) = FramePairs::from_case(case, nominal, masked) else { return PairProposals::default() };
     let stated = (nominal.pixel.threshold_on, nominal.pixel.threshold_off);
-    let (late_ns, late) = late(case, nominal, &pairs, stated);
+    let (late_ns, late) = event_delay(case, nominal, &pairs, stated);
     let mut contrast = contrast(&pairs, stated, if late.is_some() { late_ns } else { 0.0 });
     contrast.retain(|findings| !findings.is_empty());
-    Proposed { late, contrast }
+    PairProposals { late, contrast }
 }
 
-/// By how much events come later than the frames say, ns, and the finding when that is an offset.
-fn late(case: &Case, nominal: &Nominal, pairs: &Pairs, stated: (f64, f64)) -> (f64, Option<Departure>) {
+/// Delay of events after frames, ns, and the finding where it is an offset.
+fn event_delay(
+    case: &Case,
+    nominal: &Nominal,
+    pairs: &FramePairs,
+    stated: (f64, f64),
+) -> (f64, Option<Departure>) {
     let threshold = 0.5 * (stated.0 + stated.1);
-    let large: Vec<&Pair> = pairs.all.iter().filter(|pair| pair.change(0.0).abs() > threshold).collect();
+    let large: Vec<&FramePair> = pairs.all.iter().filter(|pair| pair.change(0.0).abs() > threshold).collect();
     if large.len() < FEWEST {
         return (0.0, None);
     }
-    let of_shift = Shifts::tried(pairs.period_ns, large.iter(), |pair, shift_ns, sums| {
-        let seen = pairs.seen(pair, stated, shift_ns);
+    let of_shift = ShiftSums::over_shifts(pairs.period_ns, large.iter(), |pair, shift_ns, sums| {
+        let seen = pairs.linearise(pair, stated, shift_ns);
         sums[pair.half].add([seen.on, seen.off, 0.0], pair.change(0.0) - seen.beyond);
     });
     let Some(late_ns) = of_shift.best_ns() else { return (0.0, None) };
@@ -288,22 +310,25 @@ fn late(case: &Case, nominal: &Nominal, pairs: &Pairs, stated: (f64, f64)) -> (f
         late_ns.abs() * 1e-6,
         if late_ns > 0.0 { "earlier" } else { "later" },
     );
-    (late_ns, Some(Departure::of_halves("clock_offset", ("offset", late_ns * 1e-9), nats, large.len(), seen)))
+    (
+        late_ns,
+        Some(Departure::from_halves("clock_offset", ("offset", late_ns * 1e-9), nats, large.len(), seen)),
+    )
 }
 
-/// Thresholds that frames contradict at a delay, and thresholds with a dark current.
-fn contrast(pairs: &Pairs, stated: (f64, f64), late_ns: f64) -> Vec<Vec<Departure>> {
+/// Significant changes of thresholds at a delay, without and with a dark current.
+fn contrast(pairs: &FramePairs, stated: (f64, f64), late_ns: f64) -> Vec<Vec<Departure>> {
     let shift_ns = late_ns.round() as i64;
-    let seen_with = |thresholds: (f64, f64)| -> Vec<(&Pair, Seen)> {
+    let seen_with = |thresholds: (f64, f64)| -> Vec<(&FramePair, LinearisedPair)> {
         pairs
             .all
             .iter()
-            .map(|pair| (pair, pairs.seen(pair, thresholds, shift_ns)))
+            .map(|pair| (pair, pairs.linearise(pair, thresholds, shift_ns)))
             .filter(|(_, seen)| seen.is_active)
             .collect()
     };
-    let sums = |seen: &[(&Pair, Seen)], dark: f64| -> [Fit; 2] {
-        let mut fits = [Fit::default(); 2];
+    let sums = |seen: &[(&FramePair, LinearisedPair)], dark: f64| -> [HalfFit; 2] {
+        let mut fits = [HalfFit::default(); 2];
         for (pair, seen) in seen {
             fits[pair.half].sums.add([seen.on, seen.off, 0.0], pair.change(dark) - seen.beyond);
             fits[pair.half].density += pair.density(dark);
@@ -320,10 +345,10 @@ fn contrast(pairs: &Pairs, stated: (f64, f64), late_ns: f64) -> Vec<Vec<Departur
             return Vec::new();
         }
         tried = darks.iter().map(|dark| sums(&seen, *dark)).collect();
-        let curve: Vec<f64> = tried.iter().map(|[a, b]| -a.and(b).log_likelihood()).collect();
+        let curve: Vec<f64> = tried.iter().map(|[a, b]| -a.plus(b).log_likelihood()).collect();
         dark = lowest(&curve).filter(|place| *place > 1.0).map_or(0.0, |place| dark_of(place - 1.0));
         let [a, b] = sums(&seen, dark);
-        match a.and(&b).sums.solve(2) {
+        match a.plus(&b).sums.solve(2) {
             Some([on, off, _]) if on > 0.0 && off > 0.0 => seen = seen_with((on, off)),
             _ => return Vec::new(),
         }
@@ -339,22 +364,28 @@ fn contrast(pairs: &Pairs, stated: (f64, f64), late_ns: f64) -> Vec<Vec<Departur
     let nats = gain(0).zip(gain(1)).map_or(0.0, |(a, b)| a + b);
     let mut all = vec![thresholds(sums(&seen, 0.0), stated, seen.len())];
     if nats > NATS && dark > LEAST_DARK * pairs.median {
-        let said = format!(
+        let observation = format!(
             "in {} pairs of frames events need the more change of light the darker it is, as if {:.2} of \
              the median light were there without light",
             seen.len(),
             dark / pairs.median
         );
         let mut findings = thresholds(sums(&seen, dark), stated, seen.len());
-        findings.push(Departure::of_halves("dark_current", ("current", dark), nats, seen.len(), said));
+        findings.push(Departure::from_halves(
+            "dark_current",
+            ("current", dark),
+            nats,
+            seen.len(),
+            observation,
+        ));
         all.push(findings);
     }
     all
 }
 
-/// Thresholds that both halves contradict.
-fn thresholds(fits: [Fit; 2], stated: (f64, f64), measured: usize) -> Vec<Departure> {
-    let Some([on, off, _]) = fits[0].and(&fits[1]).sums.solve(2) else { return Vec::new() };
+/// Significant changes of thresholds on both halves.
+fn thresholds(fits: [HalfFit; 2], stated: (f64, f64), measured: usize) -> Vec<Departure> {
+    let Some([on, off, _]) = fits[0].plus(&fits[1]).sums.solve(2) else { return Vec::new() };
     let ratios = (on / stated.0, off / stated.1);
     let (scale, asymmetry) =
         (0.5 * (ratios.0 + ratios.1) - 1.0, (ratios.0 - ratios.1) / (ratios.0 + ratios.1));
@@ -364,8 +395,8 @@ fn thresholds(fits: [Fit; 2], stated: (f64, f64), measured: usize) -> Vec<Depart
             let (these, from) = (fits[side].sums, fits[1 - side].sums);
             let factors = from.solve(2)?;
             Some(
-                Predicted { these, from, factors: of(factors) }.log_likelihood()
-                    - Predicted { these, from, factors: against(factors) }.log_likelihood(),
+                CrossPrediction { these, from, factors: of(factors) }.log_likelihood()
+                    - CrossPrediction { these, from, factors: against(factors) }.log_likelihood(),
             )
         };
         gain(0).zip(gain(1)).map_or(0.0, |(a, b)| a + b)
@@ -376,36 +407,42 @@ fn thresholds(fits: [Fit; 2], stated: (f64, f64), measured: usize) -> Vec<Depart
     };
     let of_scale = nats(&scaled, &|_| [stated.0, stated.1, 0.0]);
     let apart = nats(&|factors| factors, &scaled);
-    let said = format!(
+    let observation = format!(
         "in {measured} pairs of frames an ON event comes for a change of {on:.3} of the log \
                         light and an OFF event for {off:.3}"
     );
     let mut all = Vec::new();
     if scale.abs() > LEAST_SCALE && of_scale > NATS {
-        all.push(Departure::of_halves(
+        all.push(Departure::from_halves(
             "threshold_scale",
             ("fraction", scale),
             of_scale,
             measured,
-            said.clone(),
+            observation.clone(),
         ));
     }
     if asymmetry.abs() > LEAST_SCALE && apart > NATS {
-        all.push(Departure::of_halves("threshold_asymmetry", ("fraction", asymmetry), apart, measured, said));
+        all.push(Departure::from_halves(
+            "threshold_asymmetry",
+            ("fraction", asymmetry),
+            apart,
+            measured,
+            observation,
+        ));
     }
     all
 }
 
-/// Sums of one half, and the logarithm of how dense the light lies in what they are sums of.
+/// Sums of one half, and the log density of light in the fitted quantity.
 #[derive(Clone, Copy, Debug, Default)]
-struct Fit {
-    sums: Sums,
+struct HalfFit {
+    sums: RegressionSums,
     density: f64,
 }
 
-impl Fit {
-    fn and(&self, other: &Fit) -> Fit {
-        Fit { sums: self.sums.and(&other.sums), density: self.density + other.density }
+impl HalfFit {
+    fn plus(&self, other: &HalfFit) -> HalfFit {
+        HalfFit { sums: self.sums.plus(&other.sums), density: self.density + other.density }
     }
 
     /// With the thresholds that are best on it, nats.
@@ -414,7 +451,7 @@ impl Fit {
     }
 
     /// With the thresholds that are best on another one.
-    fn predicted_by(&self, other: &Fit) -> Option<f64> {
-        Some(Predicted::new(self.sums, other.sums, 2)?.log_likelihood() + self.density)
+    fn predicted_by(&self, other: &HalfFit) -> Option<f64> {
+        Some(CrossPrediction::new(self.sums, other.sums, 2)?.log_likelihood() + self.density)
     }
 }

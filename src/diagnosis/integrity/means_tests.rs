@@ -2,7 +2,7 @@
 //! comparator that is written out here.
 
 use super::Departure;
-use super::means::{Proposed, proposed};
+use super::means::{PairProposals, proposed};
 use photocurrent_core::{Exposure, Extent, FrameTimes};
 use photocurrent_scene::case::{Case, CaseFrames, PixelEvent, PixelEvents};
 
@@ -15,9 +15,9 @@ const STATED: (f64, f64) = (0.1, 0.11);
 /// DN of one unit of photocurrent in an exposure.
 const DN: f64 = 16.0;
 
-/// What the sensor does that its description does not say.
+/// True parameters that the description does not state.
 #[derive(Clone, Copy, Default)]
-struct Actual {
+struct TrueSensor {
     late_ns: i64,
     /// Photocurrent that events see and frames do not.
     dark: f64,
@@ -27,7 +27,7 @@ struct Actual {
     scale_on: f64,
 }
 
-fn camera(actual: Actual) -> Case {
+fn camera(actual: TrueSensor) -> Case {
     let extent = Extent { width: 30, height: 16 };
     let log = |pixel: usize, t_ns: i64| {
         let (x, y) = ((pixel % 30) as f64, (pixel / 30) as f64);
@@ -83,7 +83,7 @@ fn camera(actual: Actual) -> Case {
     }
 }
 
-fn of(actual: Actual) -> Proposed {
+fn proposals_for(actual: TrueSensor) -> PairProposals {
     let case = camera(actual);
     proposed(&case, &case.nominal().unwrap(), &[])
 }
@@ -100,13 +100,13 @@ fn value(findings: &[Departure], id: &str) -> f64 {
 
 #[test]
 fn of_a_sensor_as_stated_nothing_is_proposed() {
-    assert_eq!(of(Actual::default()), Proposed::default());
+    assert_eq!(proposals_for(TrueSensor::default()), PairProposals::default());
 }
 
 #[test]
 fn events_that_come_late_show_by_how_much() {
     for late_ms in [4.0, -6.0] {
-        let found = of(Actual { late_ns: (late_ms * 1e6) as i64, ..Actual::default() });
+        let found = proposals_for(TrueSensor { late_ns: (late_ms * 1e6) as i64, ..TrueSensor::default() });
         let late = found.late.unwrap();
         assert!((late.parameters[0].1 * 1e3 - late_ms).abs() < 0.3, "{late:?}");
         assert!(late.heldout.unwrap().nats > 100.0, "{late:?}");
@@ -116,19 +116,20 @@ fn events_that_come_late_show_by_how_much() {
 
 #[test]
 fn other_thresholds_are_measured() {
-    let found = of(Actual { scale: -0.3, ..Actual::default() });
+    let found = proposals_for(TrueSensor { scale: -0.3, ..TrueSensor::default() });
     let thresholds = &found.contrast[0];
     assert_eq!((found.contrast.len(), thresholds.len()), (1, 1), "{found:?}");
     assert!((value(thresholds, "threshold_scale") + 0.3).abs() < 0.03, "{thresholds:?}");
     // ON half as much again: 25 % more in the mean, and 20 % of that apart.
-    let found = of(Actual { scale_on: 0.5, ..Actual::default() });
+    let found = proposals_for(TrueSensor { scale_on: 0.5, ..TrueSensor::default() });
     assert!((value(&found.contrast[0], "threshold_scale") - 0.25).abs() < 0.03, "{found:?}");
     assert!((value(&found.contrast[0], "threshold_asymmetry") - 0.2).abs() < 0.03, "{found:?}");
 }
 
 #[test]
 fn a_current_that_frames_do_not_see_is_measured_with_delay_and_thresholds() {
-    let found = of(Actual { late_ns: 3_000_000, dark: 1.5, scale: -0.25, ..Actual::default() });
+    let found =
+        proposals_for(TrueSensor { late_ns: 3_000_000, dark: 1.5, scale: -0.25, ..TrueSensor::default() });
     assert!((found.late.as_ref().unwrap().parameters[0].1 - 3e-3).abs() < 0.3e-3, "{found:?}");
     // Thresholds alone would be as stated: a quarter less, and a quarter less contrast.
     let [with] = found.contrast.as_slice() else { panic!("{found:?}") };
@@ -138,12 +139,12 @@ fn a_current_that_frames_do_not_see_is_measured_with_delay_and_thresholds() {
 
 #[test]
 fn frames_of_short_exposure_are_not_its_business() {
-    let mut case = camera(Actual { late_ns: 4_000_000, ..Actual::default() });
+    let mut case = camera(TrueSensor { late_ns: 4_000_000, ..TrueSensor::default() });
     if let Some(frames) = &mut case.frames {
         let exposures = (0..FRAMES)
             .map(|l| Exposure::new(l * PERIOD_NS + 7_000_000, l * PERIOD_NS + 9_000_000))
             .collect();
         frames.times = FrameTimes::new(exposures, 0).unwrap();
     }
-    assert_eq!(proposed(&case, &case.nominal().unwrap(), &[]), Proposed::default());
+    assert_eq!(proposed(&case, &case.nominal().unwrap(), &[]), PairProposals::default());
 }

@@ -1,9 +1,9 @@
-//! What shows without an estimate of the scene: data that contradict themselves, stamps on a coarser grid, a
+//! Direct tests, which need no estimate of the scene: inconsistent data, stamps on a coarser grid, a
 //! readout queue, hot rows and pixels, noise events, lost events, events in step with the frames, leaks,
 //! blind times, late events; and flicker of the light, which is a property of the scene.
 //!
-//! Each test is strict: it reports only where a sound sensor could hardly look like this whatever it sees. A
-//! test that finds nothing is no proof of health; what is finer than these tests see is the business of the
+//! Each test is strict: it reports only where a nominal sensor could hardly record this, whatever the scene.
+//! A test that finds nothing is no proof of health; what is finer than these tests see is the business of the
 //! tests that estimate the scene.
 //!
 //! In reading order:
@@ -53,24 +53,24 @@ use crate::covariates::Covariate;
 use crate::dependence::Dependence;
 use crate::report::SceneProperty;
 use again::{add_intervals, lacks_interval};
-pub use array::{Stamped, Stream};
-pub use departure::{Departure, Heldout};
+pub use array::{EventsByTime, StampedEvent};
+pub use departure::{Departure, HalvesGain};
 use episodes::Episode;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use serde::{Deserialize, Serialize};
 
-/// What the direct tests say.
+/// Results of the direct tests.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Integrity {
-    /// What makes the data useless, a sentence each.
+    /// Reasons why the data cannot be used, one sentence each.
     pub broken: Vec<String>,
-    /// What there is too little of, a sentence each.
+    /// Data that are missing or too few, one sentence each.
     pub lacking: Vec<String>,
     /// Departures, strongest (statistic over threshold) first.
     pub findings: Vec<Departure>,
-    /// Rates of events that depend on what no scene knows of, and that no effect of the catalogue makes,
-    /// strongest first.
+    /// Event rates that depend on the frame phase or the row parity, strongest first. No scene causes that,
+    /// and no effect of the catalogue.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub dependences: Vec<Dependence>,
     /// Failures from one instant to another, in the order of their beginnings.
@@ -82,12 +82,12 @@ pub struct Integrity {
     pub masked: Vec<u32>,
 }
 
-/// Is there enough, and is it sound enough, to estimate a scene?
+/// Are the data sufficient and consistent enough to estimate a scene?
 pub fn can_compare(case: &Case, integrity: &Integrity) -> bool {
     integrity.broken.is_empty() && data::is_enough(case)
 }
 
-/// Effects of the catalogue that a direct test looks for.
+/// Effects of the catalogue that direct tests detect.
 pub const TESTED: [&str; 15] = [
     "timestamp_quantization",
     "timestamp_jitter",
@@ -106,20 +106,22 @@ pub const TESTED: [&str; 15] = [
     "dark_current",
 ];
 
-/// All direct tests of a recording; `nominal` is the nominal description, none when it lacks what the model
-/// needs.
+/// Runs all direct tests. `nominal`: the nominal description, `None` where it lacks what the model needs.
 pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
-    let mut found =
-        Integrity { broken: data::broken(case), lacking: data::lacking(case), ..Integrity::default() };
+    let mut found = Integrity {
+        broken: data::unusable_data(case),
+        lacking: data::insufficient_data(case),
+        ..Integrity::default()
+    };
     if !found.broken.is_empty() || case.events.len() < data::FEWEST_EVENTS {
         return found;
     }
-    let stream = Stream::of(case);
+    let stream = EventsByTime::from_case(case);
     // Pixels that are hot for a while are none that always are.
-    let hot = episodes::hot::hot(case);
-    let of_while = hot.iter().fold(Vec::new(), |all, one| joined(&all, &one.pixels));
+    let hot = episodes::hot::hot_pixel_episodes(case);
+    let of_while = hot.iter().fold(Vec::new(), |all, one| merge_pixels(&all, &one.pixels));
     (found.findings, found.masked) = hot_ones(case, nominal, &of_while);
-    found.findings.extend(others(case, nominal, Some(&stream), &found.masked, &|_| true));
+    found.findings.extend(run_masked_tests(case, nominal, Some(&stream), &found.masked, &|_| true));
     let step_s = found.findings.iter().filter(|finding| finding.id == stamps::GRID);
     let step_s = step_s.flat_map(|finding| &finding.parameters).map(|(_, step)| *step).fold(0.0, f64::max);
     let (episodes, rhythm) = episodes::episodes(case, &stream, (hot, &found.masked), step_s);
@@ -129,9 +131,10 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
         found.dependences.retain(|dependence| dependence.covariate != Covariate::FramePhase);
     }
     found.scene = nominal.map_or_else(Vec::new, |nominal| flicker::flicker(case, nominal, &stream));
-    let rhythm = nominal.zip(rhythm).and_then(|(nominal, rhythm)| flicker::of_rhythm(nominal, &rhythm));
+    let rhythm =
+        nominal.zip(rhythm).and_then(|(nominal, rhythm)| flicker::property_of_rhythm(nominal, &rhythm));
     if let Some(rhythm) = rhythm {
-        found.scene.retain(|one| !one.is_of(rhythm.frequency_hz));
+        found.scene.retain(|one| !one.has_frequency(rhythm.frequency_hz));
         found.scene.push(rhythm);
         // Its events lie on still pixels as well.
         found.findings.retain(|finding| finding.id != "background_activity");
@@ -152,12 +155,12 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
         findings.iter().filter(|finding| lacks_interval(finding)).map(|finding| finding.id).collect();
     add_intervals(case, findings, &|case, out| {
         let mut again = if ids.iter().any(|id| hot::IDS.contains(id)) {
-            hot_ones(case, nominal, &joined(&of_while, out)).0
+            hot_ones(case, nominal, &merge_pixels(&of_while, out)).0
         } else {
             Vec::new()
         };
-        let stream = ids.iter().any(|id| OF_STREAM.contains(id)).then(|| Stream::of(case));
-        again.extend(others(case, nominal, stream.as_ref(), &joined(masked, out), &|of| {
+        let stream = ids.iter().any(|id| OF_STREAM.contains(id)).then(|| EventsByTime::from_case(case));
+        again.extend(run_masked_tests(case, nominal, stream.as_ref(), &merge_pixels(masked, out), &|of| {
             ids.iter().any(|id| of.contains(id))
         }));
         again
@@ -165,31 +168,31 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
     found
 }
 
-/// What is found in the order of all events.
+/// Effects that are detected in the order of all events.
 const OF_STREAM: [&str; 5] =
     [stamps::GRID, "timestamp_jitter", "readout_queue", "event_loss", "frame_coupling"];
 
-/// Two lists of pixels as one, rising.
-pub(crate) fn joined(a: &[u32], b: &[u32]) -> Vec<u32> {
+/// Merges two lists of pixels, rising.
+pub(crate) fn merge_pixels(a: &[u32], b: &[u32]) -> Vec<u32> {
     let mut all = [a, b].concat();
     all.sort_unstable();
     all.dedup();
     all
 }
 
-/// Hot rows, then hot pixels, and the pixels of both; those of `out` (rising) are not looked at.
+/// Hot rows, then hot pixels, and the pixels of both. Pixels of `out` (rising) are left out.
 fn hot_ones(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Vec<Departure>, Vec<u32>) {
     let (rows, in_rows) = hot::rows(case, nominal, out);
-    let mut masked = joined(&in_rows, out);
+    let mut masked = merge_pixels(&in_rows, out);
     let pixels = hot::pixels(case, nominal, &mut masked);
     (rows.into_iter().chain(pixels).collect(), masked)
 }
 
 /// The tests that are `wanted` (by the ids that they may find), without the pixels of `masked`.
-fn others(
+fn run_masked_tests(
     case: &Case,
     nominal: Option<&Nominal>,
-    stream: Option<&Stream>,
+    stream: Option<&EventsByTime>,
     masked: &[u32],
     wanted: &dyn Fn(&[&str]) -> bool,
 ) -> Vec<Departure> {
@@ -213,7 +216,7 @@ fn others(
     }
     let Some(nominal) = nominal else { return found };
     if wanted(&["leak_events", "parasitic_leak", "frame_coupling", "background_activity"]) {
-        let still = still::still(case, nominal, masked);
+        let still = still::still_pixels(case, nominal, masked);
         found.extend(still::leak(case, nominal, &still, masked));
         found.extend(rest::noise(case, &still, masked).filter(|_| wanted(&["background_activity"])));
         found.extend(coupling::coupling(case, nominal, &still, masked));

@@ -1,43 +1,43 @@
-//! Rates of events over what no scene knows of: the phase of the frames, as each row has it, and the parity
-//! of the row.
+//! Event rates over the phase of the frames in each row, and over the parity of the row: no scene depends on
+//! these.
 //!
-//! Whatever moves in front of a sensor with a rolling shutter does not know when a row's exposure begins.
-//! Events are counted frame by frame and phase by phase, on the clock of their row, and held against the mean
-//! of the counts around in time: what repeats from frame to frame at one phase, more than it differs there
-//! from frame to frame, is the sensor's. Light that flickers with the frames repeats too, but on one clock
-//! for all rows: so what repeats must do so less when all rows are given the first one's clock. A global
-//! shutter has one clock alone, and the test is silent.
+//! With a rolling shutter nothing in the scene is in step with the exposure of each row. Events are counted
+//! by frame and phase on the clock of their row, and compared with the mean count around in time. A departure
+//! at one phase that repeats from frame to frame, by more than it varies there, is the sensor's. Light that
+//! flickers with the frames repeats too, but on one clock for all rows. So the departure must be smaller when
+//! all rows are given the clock of the first. A global shutter has one clock, and the test abstains.
 //!
-//! Textures do not know odd rows from even ones. A row is held against the mean of the two next to it, in
-//! parts of the array and of the recording: what has one sign in nearly all of these parts, and in most rows,
+//! Textures do not distinguish odd rows from even ones. A row is compared with the mean of the two next to
+//! it, in parts of the array and of the recording. A difference of one sign in nearly all parts and most rows
 //! is the sensor's.
 //!
-//! `frame_coupling` of the catalogue makes events of one sign at one phase, and keeps those of the other
-//! away: it is the business of its own tests, which come first. Here both signs have to differ alike.
+//! `frame_coupling` of the catalogue causes events of one sign at one phase and suppresses the other. It has
+//! tests of its own, which come first. Here both signs must differ alike.
 
 use crate::covariates::Covariate;
-use crate::dependence::{Dependence, Moved};
+use crate::dependence::{AffectedQuantity, Dependence};
 use photocurrent_scene::case::Case;
 
 /// Width of a bin of phase, ns.
 const BIN_NS: f64 = 250_000.0;
-/// Counts are held against those of so many bins to each side.
+/// Number of bins to each side with which a count is compared.
 const AROUND: usize = 6;
 /// Fewest frames, and events in a bin of a frame.
 const FEWEST_FRAMES: usize = 8;
 const FEWEST_EVENTS: f64 = 8.0;
-/// What repeats over what differs must be so much. By chance it is 1; recordings without such a dependence
-/// come to 3.6, those with one to 40 and more.
+/// Least ratio of the repeating to the varying departure. By chance it is 1; recordings without such a
+/// dependence reach 3.6, those with one 40 and more.
 const LEAST_REGULARITY: f64 = 12.0;
 /// And so much more than on one clock for all rows.
 const BY_ROWS: f64 = 1.2;
 /// At some phase the rate differs by this share.
 const LEAST_SHARE: f64 = 0.15;
-/// And there the sign that differs less does so by this share of what the other does.
+/// Least departure of the weaker sign, as a share of the stronger.
 const OF_OTHER_SIGN: f64 = 0.3;
 /// Parts of the array, and of the recording, in which rows are compared.
 const PARTS: (usize, usize) = (6, 10);
-/// Rows differ by parity by so many standard errors; recordings without such a dependence come to 4.3.
+/// Least difference between odd and even rows, standard errors; recordings without such a dependence reach
+/// 4.3.
 const LEAST_SIGMAS: f64 = 8.0;
 /// By this share,
 const LEAST_PARITY: f64 = 0.02;
@@ -45,7 +45,7 @@ const LEAST_PARITY: f64 = 0.02;
 const SAME_PARTS: f64 = 0.9;
 const SAME_ROWS: f64 = 0.8;
 
-/// What repeats, strongest first; pixels of `masked` are left out.
+/// Dependences that repeat, strongest first; pixels of `masked` are left out.
 pub(crate) fn dependences(case: &Case, masked: &[u32]) -> Vec<Dependence> {
     let mut found: Vec<Dependence> =
         by_phase(case, masked).into_iter().chain(by_parity(case, masked)).collect();
@@ -53,14 +53,14 @@ pub(crate) fn dependences(case: &Case, masked: &[u32]) -> Vec<Dependence> {
     found
 }
 
-/// What a dependence of [`dependences`] measured, over the least that counts.
+/// Statistic of a dependence of [`dependences`] over its threshold.
 pub(crate) fn score(dependence: &Dependence) -> f64 {
     dependence.significance
         / if dependence.covariate == Covariate::RowParity { LEAST_SIGMAS } else { LEAST_REGULARITY }
 }
 
 /// Counts by frame and phase.
-struct Folded {
+struct FoldedCounts {
     frames: usize,
     bins: usize,
     /// Row by row, a frame each.
@@ -69,9 +69,9 @@ struct Folded {
     around: Vec<f64>,
 }
 
-impl Folded {
+impl FoldedCounts {
     /// Of the events of some signs, on the clock of each row, or that of the first row for all.
-    fn new(case: &Case, masked: &[u32], by_rows: bool, signs: &[i8]) -> Option<Folded> {
+    fn new(case: &Case, masked: &[u32], by_rows: bool, signs: &[i8]) -> Option<FoldedCounts> {
         let times = &case.frames.as_ref()?.times;
         let period_ns = times.mean_period_ns()?;
         let (frames, bins) = (times.len() - 1, (period_ns / BIN_NS).round() as usize);
@@ -81,8 +81,8 @@ impl Folded {
         let mut counts = vec![0.0; frames * bins];
         for pixel in (0..case.events.pixels()).filter(|pixel| masked.binary_search(&(*pixel as u32)).is_err())
         {
-            let row = if by_rows { case.place(pixel).1 } else { 0 };
-            for event in case.events.of(pixel).iter().filter(|event| signs.contains(&event.polarity)) {
+            let row = if by_rows { case.pixel_place(pixel).1 } else { 0 };
+            for event in case.events.of_pixel(pixel).iter().filter(|event| signs.contains(&event.polarity)) {
                 let Some(frame) = times.last_begun(row, event.t_in_ns).filter(|frame| *frame < frames) else {
                     continue;
                 };
@@ -101,7 +101,7 @@ impl Folded {
             (sums[to] - sums[from]) / (to - from) as f64
         };
         let around = (0..counts.len()).map(around).collect();
-        Some(Folded { frames, bins, counts, around })
+        Some(FoldedCounts { frames, bins, counts, around })
     }
 
     /// Departures of a phase from what is around, in standard deviations of pure chance, frame by frame.
@@ -111,8 +111,7 @@ impl Folded {
             .map(|k| (self.counts[k] - self.around[k]) / libm::sqrt(f64::max(self.around[k], 1.0)))
     }
 
-    /// Squares of what repeats over those of what differs from frame to frame, as a multiple of what chance
-    /// gives.
+    /// Ratio of the squares of the repeating to the varying departure, relative to its value by chance.
     fn regularity(&self) -> f64 {
         let n = self.frames as f64;
         let (mut repeats, mut differs) = (0.0, 0.0);
@@ -125,7 +124,7 @@ impl Folded {
     }
 
     /// The rate of a phase over that around, less 1, from the frames that `with` keeps.
-    fn share(&self, bin: usize, with: impl Fn(usize) -> bool) -> f64 {
+    fn relative_rate(&self, bin: usize, with: impl Fn(usize) -> bool) -> f64 {
         let sum = |of: &[f64]| {
             (0..self.frames)
                 .filter(|frame| with(*frame))
@@ -140,7 +139,7 @@ impl Folded {
         let mut gain = 0.0;
         for half in 0..2 {
             for bin in 0..self.bins {
-                let share = self.share(bin, |frame| frame % 2 != half);
+                let share = self.relative_rate(bin, |frame| frame % 2 != half);
                 for k in (half..self.frames).step_by(2).map(|frame| frame * self.bins + bin) {
                     gain += self.counts[k] * libm::log1p(share) - self.around[k] * share;
                 }
@@ -151,17 +150,18 @@ impl Folded {
 }
 
 fn by_phase(case: &Case, masked: &[u32]) -> Option<Dependence> {
-    let folded = Folded::new(case, masked, true, &[-1, 1])?;
+    let folded = FoldedCounts::new(case, masked, true, &[-1, 1])?;
     let regularity = folded.regularity();
-    let value: Vec<f64> = (0..folded.bins).map(|bin| folded.share(bin, |_| true)).collect();
+    let value: Vec<f64> = (0..folded.bins).map(|bin| folded.relative_rate(bin, |_| true)).collect();
     let most = (0..folded.bins).max_by(|a, b| value[*a].abs().total_cmp(&value[*b].abs()))?;
     if regularity < LEAST_REGULARITY
         || value[most].abs() < LEAST_SHARE
-        || regularity < BY_ROWS * Folded::new(case, masked, false, &[-1, 1])?.regularity()
+        || regularity < BY_ROWS * FoldedCounts::new(case, masked, false, &[-1, 1])?.regularity()
     {
         return None;
     }
-    let of_sign = |sign: i8| Some(Folded::new(case, masked, true, &[sign])?.share(most, |_| true));
+    let of_sign =
+        |sign: i8| Some(FoldedCounts::new(case, masked, true, &[sign])?.relative_rate(most, |_| true));
     let (off, on) = (of_sign(-1)?, of_sign(1)?);
     if f64::min(off / on, on / off) < OF_OTHER_SIGN {
         return None;
@@ -187,7 +187,7 @@ fn by_phase(case: &Case, masked: &[u32]) -> Option<Dependence> {
         taken: 1.0 - after / f64::max(before, 1e-300),
         significance: regularity,
         nats_per_event: folded.nats() / case.events.len() as f64,
-        ..Dependence::over(Covariate::FramePhase, Moved::EventRate)
+        ..Dependence::empty_over(Covariate::FramePhase, AffectedQuantity::EventRate)
     })
 }
 
@@ -198,7 +198,7 @@ fn rows_of_parts(case: &Case, masked: &[u32]) -> Vec<Vec<f64>> {
     let mut parts = vec![vec![0.0; height]; PARTS.0 * PARTS.1];
     for pixel in (0..case.events.pixels()).filter(|pixel| masked.binary_search(&(*pixel as u32)).is_err()) {
         let (x, y) = (pixel % width, pixel / width);
-        for event in case.events.of(pixel) {
+        for event in case.events.of_pixel(pixel) {
             let time = (((event.t_in_ns - case.span.0) / length).max(0) as usize).min(PARTS.1 - 1);
             parts[time * PARTS.0 + x * PARTS.0 / width][y] += 1.0;
         }
@@ -280,6 +280,6 @@ fn by_parity(case: &Case, masked: &[u32]) -> Option<Dependence> {
         taken: 1.0 - after / f64::max(before, 1e-300),
         significance: sigmas,
         nats_per_event: gain / case.events.len() as f64,
-        ..Dependence::over(Covariate::RowParity, Moved::EventRate)
+        ..Dependence::empty_over(Covariate::RowParity, AffectedQuantity::EventRate)
     })
 }

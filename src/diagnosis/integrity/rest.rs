@@ -1,24 +1,24 @@
-//! A camera at rest before a still scene: what fires there is noise, of which as many events go either way,
-//! or a leak, which makes ON events alone.
+//! A camera at rest before a static scene: its events are noise, with as many ON as OFF events, or a leak,
+//! which causes ON events alone.
 
 use super::departure::Departure;
 use crate::units::readable;
 use photocurrent_scene::case::{Case, PixelEvent};
 
-/// The camera is at rest when this share of the pixels that count is still.
+/// Least share of still pixels for a camera at rest.
 const AT_REST: f64 = 0.9;
-/// So few events of the rarer sign decide nothing.
+/// Least number of events of the rarer sign.
 const FEWEST: usize = 30;
-/// Something moves, after all, where more than this share of them has company: an event of another pixel this
+/// Share of these with neighbouring events above which something moves: an event of another pixel this
 /// near, pixels in rows and columns, within this time, ns.
-const IN_COMPANY: f64 = 0.2;
+const WITH_NEIGHBOURS: f64 = 0.2;
 const NEAR: usize = 2;
 const NEAR_NS: i64 = 10_000_000;
-/// All the time: in so many of so many parts of the recording.
+/// Number of parts of the recording, nearly all of which must have events.
 const PARTS: usize = 12;
 const STEADY: usize = 9;
 
-/// Is nearly everything still, of `out` pixels that do not count?
+/// Are nearly all pixels still? Pixels of `out` are not counted.
 pub(super) fn is_at_rest(case: &Case, still: &[u32], out: &[u32]) -> bool {
     still.len() as f64 >= AT_REST * (case.extent.pixels() - out.len()) as f64
 }
@@ -30,7 +30,7 @@ pub(super) fn noise(case: &Case, still: &[u32], out: &[u32]) -> Option<Departure
     }
     let of = |polarity: i8| -> Vec<(i64, u32)> {
         let events = still.iter().flat_map(|pixel| {
-            let of_pixel = case.events.of(*pixel as usize).iter();
+            let of_pixel = case.events.of_pixel(*pixel as usize).iter();
             of_pixel.filter(move |event| event.polarity == polarity).map(|event| (event.t_in_ns, *pixel))
         });
         events.collect()
@@ -41,9 +41,10 @@ pub(super) fn noise(case: &Case, still: &[u32], out: &[u32]) -> Option<Departure
     let part = |t_ns: i64| (((t_ns - case.span.0) / length).max(0) as usize).min(PARTS - 1);
     let mut parts = [false; PARTS];
     rarer.iter().for_each(|(t_ns, _)| parts[part(*t_ns)] = true);
-    let in_company = rarer.iter().filter(|(t_ns, pixel)| has_company(case, *t_ns, *pixel)).count();
+    let with_neighbours =
+        rarer.iter().filter(|(t_ns, pixel)| has_neighbouring_event(case, *t_ns, *pixel)).count();
     if rarer.len() < FEWEST
-        || in_company as f64 > IN_COMPANY * rarer.len() as f64
+        || with_neighbours as f64 > WITH_NEIGHBOURS * rarer.len() as f64
         || parts.iter().filter(|part| **part).count() < STEADY
     {
         return None;
@@ -64,7 +65,7 @@ pub(super) fn noise(case: &Case, still: &[u32], out: &[u32]) -> Option<Departure
             still.len(),
             case.extent.pixels(),
             rarer.len(),
-            rarer.len() - in_company,
+            rarer.len() - with_neighbours,
             readable(rate, "Hz")
         ),
         heldout: None,
@@ -73,12 +74,12 @@ pub(super) fn noise(case: &Case, still: &[u32], out: &[u32]) -> Option<Departure
 }
 
 /// Does another pixel near an event fire at about the same time?
-fn has_company(case: &Case, t_ns: i64, pixel: u32) -> bool {
+fn has_neighbouring_event(case: &Case, t_ns: i64, pixel: u32) -> bool {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let (x, y) = (pixel as usize % width, pixel as usize / width);
     let near = |at: usize, size: usize| at.saturating_sub(NEAR)..(at + NEAR + 1).min(size);
     near(y, height).flat_map(|v| near(x, width).map(move |u| v * width + u)).any(|other| {
         let is_near = |event: &PixelEvent| (event.t_in_ns - t_ns).abs() < NEAR_NS;
-        other != pixel as usize && case.events.of(other).iter().any(is_near)
+        other != pixel as usize && case.events.of_pixel(other).iter().any(is_near)
     })
 }

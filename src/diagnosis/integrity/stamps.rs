@@ -1,26 +1,26 @@
 //! Time stamps: a coarser grid than stated, no grid where one is stated, gaps of one length that a queue
 //! leaves.
 
-use super::array::Stream;
+use super::array::EventsByTime;
 use super::departure::Departure;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::statistics::quantile;
 
-/// A grid that is coarser than stated: the recording is then looked at with stamps of its width.
+/// Coarser grid than stated: the recording is then evaluated with stamps of that width.
 pub(crate) const GRID: &str = "timestamp_quantization";
 /// This share of the stamps must sit on a grid.
 const GRID_SHARE: f64 = 0.98;
-/// A grid or gap counts from this multiple of the stated resolution on.
+/// Least grid or gap that is reported, in stated resolutions.
 const COARSER: f64 = 1.5;
-/// What counts as resolution where none is stated, ns.
+/// Resolution where none is stated, ns.
 const USUAL_NS: f64 = 1000.0;
 /// This share of the gaps must have one length.
 const GAP_SHARE: f64 = 0.3;
 /// Phases on the stated grid must be at least this concentrated (1 = all equal, 0 = anywhere).
 const CONCENTRATION: f64 = 0.3;
 
-/// What stamps show.
-pub(crate) fn findings(case: &Case, stream: &Stream) -> Vec<Departure> {
+/// Findings from time stamps.
+pub(crate) fn findings(case: &Case, stream: &EventsByTime) -> Vec<Departure> {
     let stated = if case.t_resolution_ns > 0 { case.t_resolution_ns as f64 } else { USUAL_NS };
     let mut unique: Vec<i64> = stream.0.iter().map(|event| event.t_ns).collect();
     unique.dedup();
@@ -111,7 +111,7 @@ fn on_grid(unique: &[i64], step: f64) -> Option<(f64, f64)> {
 }
 
 /// Events leave one row (or one pixel) after the other at equal distances: they waited for each other.
-fn queue(stream: &Stream, gap: f64, share: f64) -> Option<Departure> {
+fn queue(stream: &EventsByTime, gap: f64, share: f64) -> Option<Departure> {
     let events = stream.0.len() as f64;
     let span = stream.span()?;
     let busy = share * gap * events / f64::max((span.1 - span.0) as f64, 1.0);
@@ -188,7 +188,7 @@ fn off_grid(case: &Case) -> Option<Departure> {
 pub(crate) fn jitter_s(case: &Case) -> f64 {
     let mut runs: Vec<(i64, i64)> = Vec::new();
     for pixel in 0..case.events.pixels() {
-        for run in case.events.of(pixel).windows(4) {
+        for run in case.events.of_pixel(pixel).windows(4) {
             if run.iter().all(|event| event.polarity == run[0].polarity) {
                 let t = |k: usize| run[k].t_in_ns;
                 runs.push((t(3) - t(0), (t(3) - 3 * t(2) + 3 * t(1) - t(0)).abs()));

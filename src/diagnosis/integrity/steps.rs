@@ -1,12 +1,12 @@
-//! Thresholds against frames: how many events come for a change of the log light between two frames.
+//! Thresholds from frames: the number of events per change of log light between two frames.
 //!
 //! The net events of bright pixels between frames are fitted on the frames' change
-//! ([`photocurrent_sensor::estimate::thresholds`]); the events a change is one over the threshold. What other
-//! thresholds than stated gain is judged on the other half of the picture.
+//! ([`photocurrent_sensor::estimate::thresholds`]). Events per change is one over the threshold. The gain of
+//! other thresholds than stated is computed on the other half of the picture.
 //!
-//! Limits: frames of short exposure and little skew only; pixels that lose events at strong change make
-//! thresholds look larger, and frames that are not linear give thresholds of their curve, within a tenth, so
-//! that only more than that is a finding.
+//! Limits: frames of short exposure and little skew only. Events lost at strong changes make thresholds look
+//! larger, and nonlinear frames give the thresholds of their curve, within a tenth. So only more than that is
+//! a finding.
 
 use super::changes::LONGEST_EXPOSURE;
 use super::departure::{Departure, NATS};
@@ -20,7 +20,7 @@ use photocurrent_sensor::estimate::{
 const LEAST: f64 = 0.12;
 /// Rows may be exposed one after the other for this share of the period.
 const MOST_SKEW: f64 = 0.1;
-/// Pixels that are looked at, in bands of rows; the busiest, less one of so many that may be hot.
+/// Number of evaluated pixels, in bands of rows: the busiest, less one in this many that may be hot.
 const PIXELS: usize = 4096;
 /// See there.
 const BANDS: usize = 16;
@@ -33,9 +33,9 @@ const FULL: f64 = 0.98;
 /// Signals below this share of the largest one count as so dark.
 const DARK: f64 = 0.002;
 
-/// Thresholds that frames contradict.
+/// Thresholds that differ significantly from the stated ones.
 pub(super) fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Departure> {
-    let Some(panel) = panel(case, nominal, masked) else { return Vec::new() };
+    let Some(panel) = busiest_pixels_panel(case, nominal, masked) else { return Vec::new() };
     let late_ns = offset(&panel).map_or(0.0, |shift| shift.ns.value);
     let stated = (nominal.pixel.threshold_on, nominal.pixel.threshold_off);
     let (Some(found), Some(gains)) = (thresholds(&panel, late_ns), step_gains(&panel, late_ns, stated))
@@ -60,7 +60,7 @@ pub(super) fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<De
         );
         Departure {
             ci95: vec![("fraction", ci95)],
-            ..Departure::of_halves(id, ("fraction", fraction), nats, gains.measured, seen)
+            ..Departure::from_halves(id, ("fraction", fraction), nats, gains.measured, seen)
         }
     };
     let mut all = Vec::new();
@@ -84,7 +84,7 @@ pub(super) fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<De
 }
 
 /// Events and frames of the busiest pixels; none where exposures are long or frames few.
-fn panel(case: &Case, nominal: &Nominal, masked: &[u32]) -> Option<Panel> {
+fn busiest_pixels_panel(case: &Case, nominal: &Nominal, masked: &[u32]) -> Option<Panel> {
     let frames = case.frames.as_ref().filter(|frames| frames.times.len() >= 5)?;
     let period_ns = frames.times.mean_period_ns()?;
     let skew_ns = f64::from(case.extent.height) * frames.times.row_time_ns.abs() as f64;
@@ -101,10 +101,10 @@ fn panel(case: &Case, nominal: &Nominal, masked: &[u32]) -> Option<Panel> {
         let pixels = rows * width..(rows + band).min(height) * width;
         let mut order: Vec<usize> = pixels
             .filter(|pixel| {
-                !case.events.of(*pixel).is_empty() && masked.binary_search(&(*pixel as u32)).is_err()
+                !case.events.of_pixel(*pixel).is_empty() && masked.binary_search(&(*pixel as u32)).is_err()
             })
             .collect();
-        order.sort_unstable_by_key(|pixel| (std::cmp::Reverse(case.events.of(*pixel).len()), *pixel));
+        order.sort_unstable_by_key(|pixel| (std::cmp::Reverse(case.events.of_pixel(*pixel).len()), *pixel));
         let hot = order.len() / HOT;
         for pixel in order.into_iter().skip(hot).take(PIXELS / BANDS) {
             place_of[pixel] = next;
@@ -130,7 +130,7 @@ fn panel(case: &Case, nominal: &Nominal, masked: &[u32]) -> Option<Panel> {
             stretch.frame_mut(l)[place as usize] =
                 if dn < FULL * nominal.saturation_dn { libm::log(signal) as f32 } else { f32::NAN };
         }
-        for event in case.events.of(pixel) {
+        for event in case.events.of_pixel(pixel) {
             if let Some((t, is_on)) = centring.next(pixel, event.t_in_ns, event.polarity > 0) {
                 stretch.event(t, place as usize, is_on);
             }
@@ -158,7 +158,7 @@ mod tests {
         let (frames, period, step) = (12, 20_000_000_i64, 100_000_i64);
         let end = frames as i64 * period;
         let log = |pixel: usize, t: i64| {
-            let (x, y) = plain.place(pixel);
+            let (x, y) = plain.pixel_place(pixel);
             let phase = 0.35 * f64::from(x) + 0.5 * f64::from(y) - 9.0 * t as f64 / 1e8;
             4.0 + 0.9 * libm::sin(phase) + 0.4 * libm::sin(1.7 * phase + 1.0)
         };

@@ -1,43 +1,43 @@
-//! Pixels that see nothing move: whatever they record is the sensor's own.
+//! Still pixels: all their events are the sensor's own.
 //!
 //! A pixel is still when its frames change by no more than their noise, or by less than a quarter of a
-//! threshold, and so do all pixels around it: what is fast passes between two frames, but it comes from
-//! somewhere. Events of one sign there are a leak ([`leak`]); events that come when their row of the frame is
-//! read are coupling ([`coupling`]). A leak fills the gap to the threshold, coupling decides when it is
-//! crossed, so both are often met together.
+//! threshold, and so do all pixels around it: fast objects pass between two frames, but they come from the
+//! surroundings. Events of one sign there are a leak ([`leak`]). Events at the readout of their row are
+//! coupling (`coupling`). A leak brings the voltage to the threshold and coupling sets the instant of
+//! crossing, so both often occur together.
 //!
-//! Limits: a scene in which all moves has no still pixels, and these tests are silent. A leak that fires only
-//! at readouts does not show how strong the coupling is; that is counted where light rises.
+//! Limits: a scene in full motion has no still pixels, and these tests abstain. A leak that fires only at
+//! readouts does not show the size of the coupling; that is measured where light rises.
 
 use super::array::half;
-use super::departure::{Departure, Heldout};
+use super::departure::{Departure, HalvesGain};
 use super::rest::is_at_rest;
 use crate::units::readable;
 use photocurrent_scene::case::{Case, CaseFrames, PixelEvent};
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::statistics::{median, quantile};
 
-/// Fewer frames say too little of what stands still.
+/// Least number of frames.
 const FEWEST_FRAMES: usize = 5;
 /// As many pixels must be still.
 const FEWEST_PIXELS: usize = 200;
-/// Frames of a still pixel stay within so many standard deviations of the noise of quiet pixels; of 60 normal
+/// Largest range of a still pixel's frames, standard deviations of the noise of quiet pixels. Of 60 normal
 /// values the range is 4.6 on average, and bright pixels have more.
 const NOISE_RANGE: f64 = 10.0;
 /// Or within this share of the smaller threshold.
 const THRESHOLD_SHARE: f64 = 0.25;
-/// What moves must be farther away than this, pixels in rows and columns.
+/// Least distance of moving pixels, in rows and columns.
 const DISTANCE: usize = 4;
-/// So few events of one sign decide nothing.
+/// Least number of events of one sign.
 const FEWEST_EVENTS: usize = 30;
-/// ON events must be so many times as many as OFF events; and of a camera at rest, where these are noise.
+/// Least ratio of ON to OFF events; and for a camera at rest, where OFF events are noise.
 const ON_OVER_OFF: usize = 4;
 const ON_OVER_OFF_AT_REST: usize = 2;
 /// Their difference over the root of their sum.
 const SIGMAS: f64 = 7.0;
 /// A pixel may have this share of them, for one that is hot is no leak of all.
 const SHARE_OF_ONE: f64 = 0.1;
-/// Parts of the recording, in so many of which there must be some.
+/// Parts of the recording, and the number of them that must have events.
 const PARTS: usize = 12;
 const STEADY: usize = 9;
 /// Nats that a rate which grows with the light must be better than one rate of all pixels.
@@ -45,8 +45,8 @@ const BY_LIGHT: f64 = 10.0;
 /// And nats that a rate in proportion to the light may be worse than one that has a part without light.
 const ALL_BY_LIGHT: f64 = 3.0;
 
-/// The pixels that are still, rising; none where frames do not show it. `masked` are left out.
-pub(super) fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> {
+/// Still pixels, rising; empty where frames do not show them. `masked`: pixels left out.
+pub(super) fn still_pixels(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> {
     let Some(frames) = case.frames.as_ref().filter(|frames| frames.times.len() >= FEWEST_FRAMES) else {
         return Vec::new();
     };
@@ -55,7 +55,7 @@ pub(super) fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> 
     let moves: Vec<bool> = (0..pixels)
         .map(|pixel| {
             let (mut low, mut high, mut sum, mut count) = (f64::INFINITY, f64::NEG_INFINITY, 0.0, 0.0);
-            for dn in frames.of_pixel(pixel).filter(|dn| dn.is_finite()).map(f64::from) {
+            for dn in frames.values_of_pixel(pixel).filter(|dn| dn.is_finite()).map(f64::from) {
                 (low, high, sum, count) = (low.min(dn), high.max(dn), sum + dn, count + 1.0);
             }
             let signal = sum / f64::max(count, 1.0) - nominal.number.black_level;
@@ -76,14 +76,14 @@ pub(super) fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> 
         .collect()
 }
 
-/// Standard deviation of a frame value where the light stands still, DN: from differences of frames that
-/// follow each other, of the quietest fifth of the pixels.
+/// Standard deviation of a frame value under constant light, DN: from differences of consecutive frames, over
+/// the quietest fifth of the pixels.
 pub(super) fn noise_dn(case: &Case, frames: &CaseFrames) -> f64 {
     let pixels = case.extent.pixels();
     let mut all: Vec<f64> = (0..pixels)
         .step_by(pixels.div_ceil(5000))
         .filter_map(|pixel| {
-            let values: Vec<f64> = frames.of_pixel(pixel).map(f64::from).collect();
+            let values: Vec<f64> = frames.values_of_pixel(pixel).map(f64::from).collect();
             let mut steps: Vec<f64> = values
                 .windows(2)
                 .map(|pair| (pair[1] - pair[0]).abs())
@@ -97,8 +97,8 @@ pub(super) fn noise_dn(case: &Case, frames: &CaseFrames) -> f64 {
 }
 
 /// Standard deviation of a value whose absolute differences are `steps`. Where more than half of them are 0,
-/// as of dark pixels in whole digital numbers, from the share that is not: one step counts 1 at most, as more
-/// is no noise.
+/// as of dark pixels in whole digital numbers, it follows from the share that is not. One step counts 1 at
+/// most: larger ones are not noise.
 fn deviation(steps: &mut [f64]) -> f64 {
     match median(steps) {
         0.0 => {
@@ -112,13 +112,13 @@ fn deviation(steps: &mut [f64]) -> f64 {
 
 /// Events of still pixels, by pixel.
 fn events<'a>(case: &'a Case, still: &'a [u32]) -> impl Iterator<Item = (usize, &'a PixelEvent)> {
-    still
-        .iter()
-        .flat_map(|&pixel| case.events.of(pixel as usize).iter().map(move |event| (pixel as usize, event)))
+    still.iter().flat_map(|&pixel| {
+        case.events.of_pixel(pixel as usize).iter().map(move |event| (pixel as usize, event))
+    })
 }
 
-/// ON events where nothing moves, all the time and in no pixel above all: the reference leaks, by itself or
-/// by the light that falls on it.
+/// Leak of the reference: ON events of still pixels, all the time and not concentrated in a few pixels; by
+/// itself or in proportion to light.
 pub(super) fn leak(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -> Option<Departure> {
     if still.len() < FEWEST_PIXELS {
         return None;
@@ -135,7 +135,7 @@ pub(super) fn leak(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]
     }
     let (ons, offs) = (on[0] + on[1], off[0] + off[1]);
     let sigmas = (ons as f64 - offs as f64) / libm::sqrt((ons + offs).max(1) as f64);
-    let of_one = still.iter().map(|&pixel| case.events.of(pixel as usize).len()).max().unwrap_or(0);
+    let of_one = still.iter().map(|&pixel| case.events.of_pixel(pixel as usize).len()).max().unwrap_or(0);
     let is_steady = parts.iter().filter(|part| **part).count() >= STEADY;
     let on_over_off = if is_at_rest(case, still, masked) { ON_OVER_OFF_AT_REST } else { ON_OVER_OFF };
     if ons < FEWEST_EVENTS
@@ -159,7 +159,7 @@ pub(super) fn leak(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]
             on[side] as f64 * libm::log(2.0 * share) + off[side] as f64 * libm::log(2.0 * (1.0 - share))
         })
         .sum();
-    let light = ByLight::of(case, nominal, still);
+    let light = RateByLight::from_case(case, nominal, still);
     let (id, parameter) = if light.grows > BY_LIGHT && light.in_proportion > light.grows - ALL_BY_LIGHT {
         ("parasitic_leak", ("coefficient", rate * nominal.pixel.threshold_on / light.mean))
     } else {
@@ -180,14 +180,13 @@ pub(super) fn leak(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]
             still.len(),
             readable(rate, "Hz")
         ),
-        heldout: Some(Heldout { nats, events: ons + offs }),
+        heldout: Some(HalvesGain { nats, events: ons + offs }),
         ci95: Vec::new(),
     })
 }
 
-/// How ON events of still pixels, less OFF events (for what yet moves fires both), go with the light: nats
-/// over one rate of all pixels.
-struct ByLight {
+/// Gain of a rate of ON less OFF events of still pixels that depends on light, over one rate for all, nats.
+struct RateByLight {
     /// Of a rate in proportion to the light.
     in_proportion: f64,
     /// Of the best mixture of both.
@@ -196,8 +195,8 @@ struct ByLight {
     mean: f64,
 }
 
-impl ByLight {
-    fn of(case: &Case, nominal: &Nominal, still: &[u32]) -> ByLight {
+impl RateByLight {
+    fn from_case(case: &Case, nominal: &Nominal, still: &[u32]) -> RateByLight {
         let frames = case.frame_count();
         let exposure_s =
             case.frames.as_ref().and_then(|frames| frames.times.nominal_exposure_ns()).unwrap_or(1) as f64
@@ -212,7 +211,7 @@ impl ByLight {
         let lights: Vec<f64> = still.iter().map(|&pixel| light(pixel as usize)).collect();
         let mean = lights.iter().sum::<f64>() / lights.len() as f64;
         let excess = |pixel: u32| {
-            case.events.of(pixel as usize).iter().map(|event| f64::from(event.polarity)).sum::<f64>()
+            case.events.of_pixel(pixel as usize).iter().map(|event| f64::from(event.polarity)).sum::<f64>()
         };
         let net: Vec<(f64, f64)> = still
             .iter()
@@ -227,13 +226,12 @@ impl ByLight {
                 .sum::<f64>()
         };
         let grows = (0..=20).map(|k| nats(f64::from(k) / 20.0)).fold(f64::NEG_INFINITY, f64::max);
-        ByLight { in_proportion: nats(1.0), grows, mean }
+        RateByLight { in_proportion: nats(1.0), grows, mean }
     }
 }
 
-/// By how much still pixels grow brighter over the recording, natural-log units: the least that a straight
-/// line through the means of the frames allows (two standard errors less), 0 when that is nothing. A slow
-/// dawn fires ON events too.
+/// Increase of log light of still pixels over the recording, natural-log units: the lower bound (two standard
+/// errors) of a straight line through the means of the frames, at least 0. A slow dawn causes ON events too.
 fn brightening(case: &Case, nominal: &Nominal, still: &[u32]) -> f64 {
     let frames = case.frame_count();
     let level: Vec<f64> = (0..frames)

@@ -2,7 +2,7 @@
 
 use super::coupling::coupling;
 use super::rest;
-use super::still::{leak, still};
+use super::still::{leak, still_pixels};
 use photocurrent_core::random::Random;
 use photocurrent_core::{Exposure, Extent, FrameTimes};
 use photocurrent_scene::case::{Case, CaseFrames, PixelEvent, PixelEvents};
@@ -13,7 +13,7 @@ const FRAMES: usize = 50;
 const PERIOD_NS: i64 = 20_000_000;
 
 /// 50 frames of 48 x 40 pixels at 50 Hz with noise of 1 DN; a strip of columns at the right moves. `event`
-/// says when, in which pixel and with which sign the n-th of 150 events comes.
+/// returns when, in which pixel and with which sign the n-th of 150 events comes.
 fn camera(mut event: impl FnMut(usize, &mut Random) -> (i64, usize, i8)) -> Case {
     let mut random = Random::new(3, &[]);
     let dn = (0..FRAMES * WIDTH * HEIGHT).map(|k| {
@@ -68,9 +68,9 @@ fn any_time(random: &mut Random) -> i64 {
     (random.uniform() * FRAMES as f64 * PERIOD_NS as f64) as i64
 }
 
-fn found(case: &Case) -> (usize, Option<super::Departure>, Option<super::Departure>) {
+fn still_leak_and_coupling(case: &Case) -> (usize, Option<super::Departure>, Option<super::Departure>) {
     let nominal = case.nominal().unwrap();
-    let still = still(case, &nominal, &[]);
+    let still = still_pixels(case, &nominal, &[]);
     (still.len(), leak(case, &nominal, &still, &[]), coupling(case, &nominal, &still, &[]))
 }
 
@@ -80,7 +80,7 @@ fn value(finding: &super::Departure, parameter: &str) -> f64 {
 
 #[test]
 fn still_pixels_keep_their_distance_from_what_moves() {
-    let (still, leak, coupling) = found(&camera(|_, random| {
+    let (still, leak, coupling) = still_leak_and_coupling(&camera(|_, random| {
         (any_time(random), pixel(random), if random.uniform() < 0.5 { 1 } else { -1 })
     }));
     // 42 columns stand still, and the four next to the strip are too near.
@@ -91,7 +91,8 @@ fn still_pixels_keep_their_distance_from_what_moves() {
 
 #[test]
 fn on_events_at_any_time_where_nothing_moves_are_a_leak_with_their_rate() {
-    let (still, leak, coupling) = found(&camera(|_, random| (any_time(random), pixel(random), 1)));
+    let (still, leak, coupling) =
+        still_leak_and_coupling(&camera(|_, random| (any_time(random), pixel(random), 1)));
     let leak = leak.unwrap();
     assert!((value(&leak, "rate") / (150.0 / still as f64 / 1.0) - 1.0).abs() < 0.05, "{leak:?}");
     assert!(leak.heldout.unwrap().nats > 90.0, "{leak:?}"); // 150 ln 2 = 104
@@ -118,7 +119,7 @@ fn brighter_below(every: usize) -> Case {
 #[test]
 fn a_leak_that_grows_with_the_light_is_the_lights() {
     let case = brighter_below(usize::MAX);
-    let (still, leak, _) = found(&case);
+    let (still, leak, _) = still_leak_and_coupling(&case);
     let leak = leak.unwrap();
     assert_eq!(leak.id, "parasitic_leak");
     // 0.2 a threshold, one event in so many pixels and seconds for the mean light.
@@ -134,20 +135,24 @@ fn a_leak_that_grows_with_the_light_is_the_lights() {
 }
 
 #[test]
-fn a_leak_that_knows_nothing_of_the_light_is_a_leak() {
-    assert_eq!(found(&brighter_below(1)).1.unwrap().id, "leak_events");
+fn a_leak_independent_of_light_is_a_leak() {
+    assert_eq!(still_leak_and_coupling(&brighter_below(1)).1.unwrap().id, "leak_events");
 }
 
 #[test]
 fn on_events_of_one_pixel_or_of_one_moment_are_no_leak() {
-    assert!(found(&camera(|_, random| (any_time(random), 5 * WIDTH + 5, 1))).1.is_none());
-    assert!(found(&camera(|_, random| (300_000_000 + any_time(random) / 20, pixel(random), 1))).1.is_none());
+    assert!(still_leak_and_coupling(&camera(|_, random| (any_time(random), 5 * WIDTH + 5, 1))).1.is_none());
+    assert!(
+        still_leak_and_coupling(&camera(|_, random| (300_000_000 + any_time(random) / 20, pixel(random), 1)))
+            .1
+            .is_none()
+    );
 }
 
 #[test]
 fn events_when_their_row_is_read_are_coupling_with_its_delay() {
     // Rows 120 us apart from 2.3 ms after the start of the exposure on; one event in five at any time.
-    let (_, leak, coupling) = found(&camera(|n, random| {
+    let (_, leak, coupling) = still_leak_and_coupling(&camera(|n, random| {
         let pixel = pixel(random);
         let read = (random.uniform() * FRAMES as f64) as i64 * PERIOD_NS
             + 2_300_000
@@ -182,7 +187,7 @@ fn the_size_of_an_impulse_is_counted_where_light_rises() {
     let pixels: Vec<Vec<PixelEvent>> = (0..WIDTH * HEIGHT)
         .map(|pixel| {
             if pixel % WIDTH < WIDTH - 6 {
-                return case.events.of(pixel).to_vec();
+                return case.events.of_pixel(pixel).to_vec();
             }
             let readout = |n: i64| n * PERIOD_NS + 2_300_000 + (pixel / WIDTH) as i64 * 120_000;
             let slope = 40.0 + 40.0 * random.uniform();
@@ -205,12 +210,12 @@ fn the_size_of_an_impulse_is_counted_where_light_rises() {
         })
         .collect();
     case.events = PixelEvents::new(pixels);
-    let step = value(&found(&case).2.unwrap(), "step");
+    let step = value(&still_leak_and_coupling(&case).2.unwrap(), "step");
     assert!((step / 0.05 - 1.0).abs() < 0.25, "{step}");
 }
 
-/// A camera before which nothing moves at all: so many ON and so many OFF events, at any time and place.
-fn at_rest(on: usize, off: usize, pixel: impl Fn(&mut Random) -> usize) -> Case {
+/// A static scene in which all pixels record random events: `on` ON and `off` OFF ones.
+fn static_scene(on: usize, off: usize, pixel: impl Fn(&mut Random) -> usize) -> Case {
     let mut case = camera(|_, random| (any_time(random), 0, 1));
     let mut random = Random::new(6, &[]);
     let dn = (0..FRAMES * WIDTH * HEIGHT).map(|_| (80.0 + random.normal()) as f32).collect();
@@ -231,28 +236,28 @@ fn a_camera_at_rest_fires_noise_both_ways_and_a_leak_one_way() {
     let anywhere = |random: &mut Random| (random.uniform() * (WIDTH * HEIGHT) as f64) as usize;
     let seen = |case: &Case| {
         let nominal = case.nominal().unwrap();
-        let still = still(case, &nominal, &[]);
+        let still = still_pixels(case, &nominal, &[]);
         (rest::noise(case, &still, &[]), leak(case, &nominal, &still, &[]))
     };
     // One second of 1,920 pixels: 120 OFF events are 0.125 Hz of noise, and 180 ON events more a leak.
-    let (noise, leak) = seen(&at_rest(300, 120, anywhere));
+    let (noise, leak) = seen(&static_scene(300, 120, anywhere));
     assert!((noise.expect("noise").parameters[0].1 - 0.125).abs() < 0.005);
     assert!((leak.expect("a leak").parameters[0].1 - 180.0 / 1920.0).abs() < 0.005);
     // As many of both are noise alone, and ON events alone a leak.
-    let (noise, leak) = seen(&at_rest(200, 200, anywhere));
+    let (noise, leak) = seen(&static_scene(200, 200, anywhere));
     assert!(noise.is_some() && leak.is_none());
-    let (noise, leak) = seen(&at_rest(300, 0, anywhere));
+    let (noise, leak) = seen(&static_scene(300, 0, anywhere));
     assert!(noise.is_none() && leak.is_some());
-    // What fires in one corner has company: something is there that frames do not show.
+    // What fires in one corner has neighbouring events: something is there that frames do not show.
     let corner =
         |random: &mut Random| (random.uniform() * 4.0) as usize * WIDTH + (random.uniform() * 4.0) as usize;
-    assert!(seen(&at_rest(300, 120, corner)).0.is_none());
+    assert!(seen(&static_scene(300, 120, corner)).0.is_none());
 }
 
 #[test]
 fn noise_below_a_digital_number_is_seen_in_whole_ones() {
     let anywhere = |random: &mut Random| (random.uniform() * (WIDTH * HEIGHT) as f64) as usize;
-    let mut case = at_rest(300, 120, anywhere);
+    let mut case = static_scene(300, 120, anywhere);
     let frames = case.frames.as_ref().unwrap();
     let mut random = Random::new(8, &[]);
     // Dark: a quarter of a threshold is a quarter of a digital number there.
@@ -262,5 +267,5 @@ fn noise_below_a_digital_number_is_seen_in_whole_ones() {
     // 0.35 and what whole numbers add (a twelfth in squares) are 0.45; the quietest fifth of few differences.
     assert!((0.3..0.6).contains(&deviation), "{deviation}");
     let nominal = case.nominal().unwrap();
-    assert!(rest::noise(&case, &still(&case, &nominal, &[]), &[]).is_some());
+    assert!(rest::noise(&case, &still_pixels(&case, &nominal, &[]), &[]).is_some());
 }

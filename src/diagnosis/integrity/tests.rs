@@ -42,10 +42,13 @@ pub(super) fn bursts_on(extent: Extent, seed: u64, step_ns: i64) -> Case {
 }
 
 /// With events changed pixel by pixel.
-pub(super) fn with(mut case: Case, mut change: impl FnMut(usize, &mut Vec<PixelEvent>)) -> Case {
+pub(super) fn with_changed_events(
+    mut case: Case,
+    mut change: impl FnMut(usize, &mut Vec<PixelEvent>),
+) -> Case {
     let pixels: Vec<Vec<PixelEvent>> = (0..case.events.pixels())
         .map(|pixel| {
-            let mut events = case.events.of(pixel).to_vec();
+            let mut events = case.events.of_pixel(pixel).to_vec();
             change(pixel, &mut events);
             events
         })
@@ -61,11 +64,11 @@ pub(super) fn add(events: &mut Vec<PixelEvent>, random: &mut Random, count: usiz
     }
 }
 
-fn of(case: &Case) -> Integrity {
+fn direct_tests(case: &Case) -> Integrity {
     integrity(case, case.nominal().ok().as_ref())
 }
 
-fn only<'a>(found: &'a Integrity, id: &str) -> &'a Departure {
+fn single_departure<'a>(found: &'a Integrity, id: &str) -> &'a Departure {
     assert_eq!(found.findings.iter().map(|finding| finding.id).collect::<Vec<_>>(), [id]);
     &found.findings[0]
 }
@@ -75,52 +78,52 @@ fn value(finding: &Departure, parameter: &str) -> f64 {
 }
 
 #[test]
-fn a_sound_recording_gives_no_finding() {
-    let found = of(&bursts(1000));
+fn a_nominal_recording_gives_no_finding() {
+    let found = direct_tests(&bursts(1000));
     assert_eq!(found.findings, []);
     assert!(found.broken.is_empty() && found.masked.is_empty(), "{found:?}");
 }
 
 #[test]
 fn a_coarser_grid_is_found_with_its_step() {
-    let finding = of(&bursts(115_000));
-    assert!((value(only(&finding, "timestamp_quantization"), "step") - 115e-6).abs() < 1e-9);
+    let finding = direct_tests(&bursts(115_000));
+    assert!((value(single_departure(&finding, "timestamp_quantization"), "step") - 115e-6).abs() < 1e-9);
 }
 
 #[test]
 fn a_clock_that_runs_slow_is_no_coarser_grid() {
     // 0.5 % slow: the stated grid of 1 us becomes one of 0.995 us.
-    let case = with(bursts(1000), |_, events| {
+    let case = with_changed_events(bursts(1000), |_, events| {
         events.iter_mut().for_each(|event| {
             event.t_in_ns = event.t_in_ns / 1000 * 995;
             event.t_off_ns = event.t_in_ns;
         });
     });
-    assert_eq!(of(&case).findings, []);
+    assert_eq!(direct_tests(&case).findings, []);
 }
 
 #[test]
 fn stamps_off_their_grid_are_jitter() {
     let mut random = Random::new(6, &[]);
-    let case = with(bursts(1000), |_, events| {
+    let case = with_changed_events(bursts(1000), |_, events| {
         events.iter_mut().for_each(|event| {
             event.t_in_ns += (30e3 * random.normal()) as i64;
             event.t_off_ns = event.t_in_ns;
         });
     });
-    only(&of(&case), "timestamp_jitter");
+    single_departure(&direct_tests(&case), "timestamp_jitter");
 }
 
 #[test]
 fn hot_rows_are_not_called_hot_pixels() {
     let mut random = Random::new(7, &[]);
-    let case = with(bursts(1000), |pixel, events| {
+    let case = with_changed_events(bursts(1000), |pixel, events| {
         if pixel / 24 == 9 {
             add(events, &mut random, 40, 1);
         }
     });
-    let found = of(&case);
-    let rows = only(&found, "hot_rows");
+    let found = direct_tests(&case);
+    let rows = single_departure(&found, "hot_rows");
     assert_eq!(rows.pixels, (9 * 24..10 * 24).collect::<Vec<u32>>());
     assert!((value(rows, "rate") / (40.0 / 0.3) - 1.0).abs() < 0.1, "{rows:?}");
     assert_eq!(found.masked, rows.pixels);
@@ -129,13 +132,13 @@ fn hot_rows_are_not_called_hot_pixels() {
 #[test]
 fn hot_pixels_are_found_with_their_rate() {
     let mut random = Random::new(8, &[]);
-    let case = with(bursts(1000), |pixel, events| {
+    let case = with_changed_events(bursts(1000), |pixel, events| {
         if pixel == 100 || pixel == 333 {
             add(events, &mut random, 200, -1);
         }
     });
-    let found = of(&case);
-    let hot = only(&found, "hot_pixels");
+    let found = direct_tests(&case);
+    let hot = single_departure(&found, "hot_pixels");
     assert_eq!(hot.pixels, [100, 333]);
     assert!((value(hot, "rate") / (200.0 / 0.3) - 1.0).abs() < 0.1, "{hot:?}");
     assert_eq!(found.masked, [100, 333]);
@@ -144,12 +147,12 @@ fn hot_pixels_are_found_with_their_rate() {
 #[test]
 fn a_row_at_the_rim_is_held_against_nothing() {
     let mut random = Random::new(7, &[]);
-    let case = with(bursts(1000), |pixel, events| {
+    let case = with_changed_events(bursts(1000), |pixel, events| {
         if pixel / 24 == 0 {
             add(events, &mut random, 40, 1);
         }
     });
-    assert!(of(&case).findings.iter().all(|finding| finding.id != "hot_rows"));
+    assert!(direct_tests(&case).findings.iter().all(|finding| finding.id != "hot_rows"));
 }
 
 /// Frames every 10 ms that see what the events add up to, as a light would have it.
@@ -161,7 +164,7 @@ fn with_its_frames(mut case: Case) -> Case {
         |polarity: i8| if polarity > 0 { nominal.pixel.threshold_on } else { -nominal.pixel.threshold_off };
     let sum = |pixel: usize, t_ns: i64| {
         case.events
-            .of(pixel)
+            .of_pixel(pixel)
             .iter()
             .filter(|event| event.t_in_ns < t_ns)
             .map(|event| step(event.polarity))
@@ -182,7 +185,7 @@ fn with_its_frames(mut case: Case) -> Case {
 fn a_pixel_that_sees_more_than_its_neighbours_is_not_hot() {
     let mut random = Random::new(8, &[]);
     let mut busy = |share: f64| {
-        with(bursts(1000), |pixel, events| {
+        with_changed_events(bursts(1000), |pixel, events| {
             if pixel == 100 {
                 // Pairs of both signs, so that its light stays where it is on average.
                 for n in 0..(200.0 * share) as i64 {
@@ -193,7 +196,7 @@ fn a_pixel_that_sees_more_than_its_neighbours_is_not_hot() {
             }
         })
     };
-    let is_hot = |case: &Case| of(case).findings.iter().any(|finding| finding.id == "hot_pixels");
+    let is_hot = |case: &Case| direct_tests(case).findings.iter().any(|finding| finding.id == "hot_pixels");
     let case = busy(1.0);
     let seen = with_its_frames(case.clone());
     assert!(!is_hot(&seen));
@@ -203,7 +206,7 @@ fn a_pixel_that_sees_more_than_its_neighbours_is_not_hot() {
 
 #[test]
 fn a_light_that_blinks_once_is_no_hot_pixel() {
-    let case = with(bursts(1000), |pixel, events| {
+    let case = with_changed_events(bursts(1000), |pixel, events| {
         if pixel == 100 {
             events.extend((0..200).map(|k| PixelEvent {
                 t_in_ns: 120_000_000 + k * 90_000,
@@ -212,18 +215,18 @@ fn a_light_that_blinks_once_is_no_hot_pixel() {
             }));
         }
     });
-    assert!(of(&case).findings.iter().all(|finding| finding.id != "hot_pixels"));
+    assert!(direct_tests(&case).findings.iter().all(|finding| finding.id != "hot_pixels"));
 }
 
 #[test]
 fn random_events_of_both_signs_are_background_activity() {
     let mut random = Random::new(9, &[]);
-    let case = with(bursts(1000), |_, events| {
+    let case = with_changed_events(bursts(1000), |_, events| {
         add(events, &mut random, 2, 1);
         add(events, &mut random, 2, -1);
     });
-    let found = of(&case);
-    let rate = value(only(&found, "background_activity"), "rate");
+    let found = direct_tests(&case);
+    let rate = value(single_departure(&found, "background_activity"), "rate");
     // Four in 0.3 s; the estimate comes from the few that stand right after an event.
     assert!(rate > 5.0 && rate < 30.0, "{rate}");
 }
@@ -238,7 +241,7 @@ fn wide_wave() -> Case {
 pub(super) fn wide_wave_on(case: Case, seed: u64) -> Case {
     let mut random = Random::new(seed, &[1]);
     let width = case.extent.width as usize;
-    with(case, |pixel, events| {
+    with_changed_events(case, |pixel, events| {
         events.clear();
         let (mut t, mut polarity) = (1_000_000 + (pixel % width) as i64 * 400_000, 1);
         while t < 290_000_000 {
@@ -255,10 +258,10 @@ pub(super) fn wide_wave_on(case: Case, seed: u64) -> Case {
 
 #[test]
 fn events_against_the_light_are_noise_with_its_rate() {
-    assert_eq!(of(&wide_wave()).findings, []);
+    assert_eq!(direct_tests(&wide_wave()).findings, []);
     let mut random = Random::new(16, &[]);
     let noisy = |on: usize, off: usize, random: &mut Random| {
-        with(wide_wave(), |_, events| {
+        with_changed_events(wide_wave(), |_, events| {
             add(events, random, on, 1);
             add(events, random, off, -1);
         })
@@ -271,7 +274,7 @@ fn events_against_the_light_are_noise_with_its_rate() {
     assert!((value(&found, "rate") / 16.7 - 1.0).abs() < 0.3, "{found:?}");
     assert_eq!(found.polarity, "on");
     // All from one corner: something there, but not noise of all pixels.
-    let corner = with(wide_wave(), |pixel, events| {
+    let corner = with_changed_events(wide_wave(), |pixel, events| {
         if pixel == 26 || pixel == 52 {
             add(events, &mut random, 60, 1);
             add(events, &mut random, 60, -1);
@@ -291,17 +294,17 @@ fn a_strong_impulse_at_the_readout_shows_where_all_moves() {
         (0..15 * 480).map(|k| 100.0 + 40.0 * ((k / 480) % 2) as f32 + (k % 7) as f32).collect(),
     );
     let quiet = Case { frames: Some(frames), ..bursts(1000) };
-    assert!(of(&quiet).findings.is_empty());
+    assert!(direct_tests(&quiet).findings.is_empty());
     // ON events 9.1 ms after the start of the frame, 100 us later from row to row; the others are of the
     // scene, OFF more often than ON.
-    let coupled = with(quiet, |pixel, events| {
+    let coupled = with_changed_events(quiet, |pixel, events| {
         events.retain(|event| event.polarity < 0 || event.t_in_ns % 3_000 == 0);
         events.extend((0..15).map(|l| {
             let t = l * 20_000_000 + 9_100_000 + (pixel / 24) as i64 * 100_000;
             PixelEvent { t_in_ns: t, t_off_ns: t, polarity: 1 }
         }));
     });
-    let found = of(&coupled);
+    let found = direct_tests(&coupled);
     let coupling = found
         .findings
         .iter()
@@ -318,7 +321,7 @@ fn a_strong_impulse_at_the_readout_shows_where_all_moves() {
 #[test]
 fn windows_that_are_full_have_lost_events() {
     let case = bursts(1000);
-    let stream = Stream::of(&case);
+    let stream = EventsByTime::from_case(&case);
     let mut kept = std::collections::BTreeMap::<i64, usize>::new();
     let mut lost = 0;
     let mut pixels = vec![Vec::new(); case.extent.pixels()];
@@ -337,8 +340,8 @@ fn windows_that_are_full_have_lost_events() {
     }
     let share = lost as f64 / stream.0.len() as f64;
     let capped = Case { events: PixelEvents::new(pixels), ..case };
-    let found = of(&capped);
-    let estimate = value(only(&found, "event_loss"), "fraction");
+    let found = direct_tests(&capped);
+    let estimate = value(single_departure(&found, "event_loss"), "fraction");
     assert!(share > 0.1 && (estimate / share - 1.0).abs() < 0.2, "{estimate} {share}");
 }
 
@@ -346,7 +349,7 @@ fn windows_that_are_full_have_lost_events() {
 fn a_row_that_waits_for_the_other_is_a_queue() {
     // Groups of six rows that leave 3 us apart, at times off any common grid.
     let mut turn = 0;
-    let case = with(bursts(1000), |_, events| {
+    let case = with_changed_events(bursts(1000), |_, events| {
         events.iter_mut().for_each(|event| {
             turn += 1;
             event.t_off_ns = event.t_off_ns / 200_000 * 200_000
@@ -355,7 +358,7 @@ fn a_row_that_waits_for_the_other_is_a_queue() {
             event.t_in_ns = event.t_off_ns;
         });
     });
-    let found = of(&case);
+    let found = direct_tests(&case);
     let queue = found
         .findings
         .iter()
@@ -367,45 +370,51 @@ fn a_row_that_waits_for_the_other_is_a_queue() {
 #[test]
 fn events_before_the_blind_time_is_over_contradict_it() {
     let mut case = bursts(1000);
-    // Intervals are 2 to 3 ms; the description says 2.5 ms.
+    // Intervals are 2 to 3 ms; the description states 2.5 ms.
     case.sensor.readout.refractory = Some(photocurrent_core::quantity::Duration::new(2_500_000));
-    let found = of(&case);
-    let blind = value(only(&found, "refractory"), "refractory");
+    let found = direct_tests(&case);
+    let blind = value(single_departure(&found, "refractory"), "refractory");
     assert!((blind - 2e-3).abs() < 0.1e-3, "{blind}");
 }
 
 #[test]
-fn broken_and_insufficient_data_are_said() {
-    let stopped = with(bursts(1000), |_, events| {
+fn broken_and_insufficient_data_are_reported() {
+    let stopped = with_changed_events(bursts(1000), |_, events| {
         events.iter_mut().for_each(|event| {
             event.t_in_ns = 7;
             event.t_off_ns = 7;
         });
     });
-    assert!(of(&stopped).broken.iter().any(|why| why.contains("one and the same time")));
+    assert!(direct_tests(&stopped).broken.iter().any(|why| why.contains("one and the same time")));
     let early = Case {
         has_t_in: true,
-        ..with(bursts(1000), |_, events| events.iter_mut().for_each(|event| event.t_off_ns -= 5000))
+        ..with_changed_events(bursts(1000), |_, events| {
+            events.iter_mut().for_each(|event| event.t_off_ns -= 5000)
+        })
     };
-    assert!(of(&early).broken.iter().any(|why| why.contains("before they fire")));
+    assert!(direct_tests(&early).broken.iter().any(|why| why.contains("before they fire")));
     // Microseconds that were read as nanoseconds.
-    let mut fast = with(bursts(1000), |_, events| {
+    let mut fast = with_changed_events(bursts(1000), |_, events| {
         events.iter_mut().for_each(|event| {
             event.t_in_ns /= 1000;
             event.t_off_ns /= 1000;
         });
     });
     fast.span = (fast.span.0 / 1000, fast.span.1 / 1000);
-    assert!(of(&fast).broken.iter().any(|why| why.contains("of a larger unit")), "{:?}", of(&fast).broken);
-    let few = with(bursts(1000), |pixel, events| events.truncate(usize::from(pixel < 20)));
-    let found = of(&few);
+    assert!(
+        direct_tests(&fast).broken.iter().any(|why| why.contains("of a larger unit")),
+        "{:?}",
+        direct_tests(&fast).broken
+    );
+    let few = with_changed_events(bursts(1000), |pixel, events| events.truncate(usize::from(pixel < 20)));
+    let found = direct_tests(&few);
     assert!(
         found.broken.is_empty() && found.lacking.iter().any(|why| why.starts_with("20 events")),
         "{found:?}"
     );
     let mut dark = crate::testing::case();
     dark.frames = dark.frames.map(|frames| frames.map(|_, _| 0.0));
-    assert!(of(&dark).broken.iter().any(|why| why.contains("hold no picture")));
+    assert!(direct_tests(&dark).broken.iter().any(|why| why.contains("hold no picture")));
 }
 
 #[test]
@@ -418,7 +427,7 @@ fn frames_that_no_light_makes_are_broken() {
                 dn
             })
         });
-        of(&case).broken.join("; ")
+        direct_tests(&case).broken.join("; ")
     };
     assert_eq!(of_frames(&|_, _| {}), "");
     assert!(of_frames(&|_, dn| *dn = -*dn).contains("are negative"));
@@ -451,8 +460,8 @@ fn bursts_in_step_with_the_frames_are_coupling() {
         (0..15 * extent_pixels).map(|k| 100.0 + (k % 7) as f32).collect(),
     );
     let quiet = Case { frames: Some(frames), ..bursts(1000) };
-    assert_eq!(of(&quiet).findings, []);
-    let coupled = with(quiet, |pixel, events| {
+    assert_eq!(direct_tests(&quiet).findings, []);
+    let coupled = with_changed_events(quiet, |pixel, events| {
         if pixel % 4 == 0 {
             events.extend((0..15).map(|l| {
                 let t = l * 20_000_000 + 9_100_000 + pixel as i64 * 300;
@@ -460,7 +469,7 @@ fn bursts_in_step_with_the_frames_are_coupling() {
             }));
         }
     });
-    let found = of(&coupled);
+    let found = direct_tests(&coupled);
     let coupling = found
         .findings
         .iter()
@@ -474,7 +483,7 @@ fn a_rhythm_common_to_all_pixels_is_the_lights_and_no_finding() {
     // Log light 0.4 sin(2 pi 100 t) with thresholds 0.2 and 0.21: ON while it rises, OFF while it falls, at
     // phases of each pixel's own.
     let mut random = Random::new(11, &[]);
-    let case = with(bursts(1000), |_, events| {
+    let case = with_changed_events(bursts(1000), |_, events| {
         events.clear();
         for period in 0..30 {
             for (polarity, centre) in [(1, 0), (-1, 5_000_000)] {
@@ -491,10 +500,10 @@ fn a_rhythm_common_to_all_pixels_is_the_lights_and_no_finding() {
             }
         }
     });
-    let found = of(&case);
+    let found = direct_tests(&case);
     assert_eq!(found.scene.len(), 1, "{found:?}");
     assert!((found.scene[0].frequency_hz - 100.0).abs() < 2.0, "{found:?}");
-    assert!(of(&bursts(1000)).scene.is_empty());
+    assert!(direct_tests(&bursts(1000)).scene.is_empty());
 }
 
 #[test]
@@ -506,10 +515,10 @@ fn clocks_that_share_no_time_are_broken_data_with_both_times_in_the_message() {
         ..*event
     };
     case.events = PixelEvents::new(
-        (0..case.events.pixels()).map(|pixel| case.events.of(pixel).iter().map(moved).collect()),
+        (0..case.events.pixels()).map(|pixel| case.events.of_pixel(pixel).iter().map(moved).collect()),
     );
     case.span = (0, 5_100_000_000);
-    let why = data::broken(&case);
+    let why = data::unusable_data(&case);
     assert!(
         why.len() == 1
             && why[0].contains("share no time")

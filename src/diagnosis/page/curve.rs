@@ -1,25 +1,26 @@
-//! The curve of what is reported without a name, over what it depends on.
+//! Chart of an uncatalogued dependence over its covariate.
 
 use crate::covariates::Covariate;
-use crate::dependence::{Dependence, Moved};
-use crate::report::{short as number, six_digits};
+use crate::dependence::{AffectedQuantity, Dependence};
+use crate::report::{four_digits as number, six_digits};
 use photocurrent_page::{Curve, Panel, escaped};
 use std::fmt::Write;
 
-/// The curve of what has no name.
-pub(super) fn unnamed(html: &mut String, charts: &mut Vec<Panel>, dependence: &Dependence) {
+/// Appends the chart of an uncatalogued dependence.
+pub(super) fn append_unexplained(html: &mut String, charts: &mut Vec<Panel>, dependence: &Dependence) {
     let (what, unit, factor) = match dependence.moved {
-        Moved::Stamps => ("how much later stamps are", "us", 1e6),
-        Moved::Threshold => ("how much higher thresholds are", "%", 100.0),
-        Moved::Rate => ("how many more ON than OFF events without light a pixel fires", "Hz", 1.0),
-        Moved::EventRate => ("how much more often events come", "%", 100.0),
+        AffectedQuantity::Stamps => ("how much later stamps are", "us", 1e6),
+        AffectedQuantity::Threshold => ("how much higher thresholds are", "%", 100.0),
+        AffectedQuantity::Rate => ("how many more ON than OFF events without light a pixel fires", "Hz", 1.0),
+        AffectedQuantity::EventRate => ("how much more often events come", "%", 100.0),
     };
     let rhythm =
         dependence.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", number(1.0 / period_s)));
     let (name, measured) = (escaped(dependence.covariate.name()), number(dependence.significance));
-    let against = if dependence.moved == Moved::EventRate { "than around" } else { "than described" };
+    let against =
+        if dependence.moved == AffectedQuantity::EventRate { "than around" } else { "than described" };
     let unit_of_significance =
-        if dependence.moved == Moved::EventRate && dependence.covariate == Covariate::FramePhase {
+        if dependence.moved == AffectedQuantity::EventRate && dependence.covariate == Covariate::FramePhase {
             "times what chance gives"
         } else {
             "standard errors from nothing"
@@ -35,7 +36,7 @@ pub(super) fn unnamed(html: &mut String, charts: &mut Vec<Panel>, dependence: &D
     let points: Vec<(f64, f64, f64)> = (0..dependence.at.len())
         .map(|k| (dependence.at[k], factor * dependence.value[k], 1.96 * factor * dependence.error[k]))
         .collect();
-    over(dependence.covariate, &points, unit).put(html, charts);
+    points_panel(dependence.covariate, &points, unit).put(html, charts);
 }
 
 /// Points with half lengths of their bars, as a curve.
@@ -54,7 +55,7 @@ pub(super) fn measured(points: &[(f64, f64, f64)]) -> Curve {
 }
 
 /// Points with half lengths of their bars over a covariate.
-fn over(covariate: Covariate, points: &[(f64, f64, f64)], unit: &str) -> Panel {
+fn points_panel(covariate: Covariate, points: &[(f64, f64, f64)], unit: &str) -> Panel {
     let ends = points
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |ends, point| (ends.0.min(point.0), ends.1.max(point.0)));

@@ -1,10 +1,10 @@
-//! Where each effect is: its gain over a frame of the scene, and over rows, columns, time and light.
+//! Location of each effect: its gain over a frame of the scene, and over rows, columns, time and light.
 
 use super::curve::measured;
-use super::svg::{COLOURS, open};
+use super::svg::{COLOURS, open_svg};
 use crate::covariates::Covariate;
-use crate::report::{short as number, six_digits};
-use crate::residual::located::{Curve, Located, Mean, Part};
+use crate::report::{four_digits as number, six_digits};
+use crate::residual::located::{GainCurve, LocatedEffect, LocatedPart, MeanGain};
 use photocurrent_page::{Panel, escaped};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::statistics::quantile;
@@ -18,8 +18,14 @@ const SHADES: f64 = 15.0;
 const OPAQUE: f64 = 0.8;
 
 /// One effect.
-pub(super) fn located(html: &mut String, charts: &mut Vec<Panel>, case: &Case, name: &str, found: &Located) {
-    let _ = writeln!(html, "<h3>{}</h3>\n<p>{}</p>", escaped(name), escaped(&words(case, found)));
+pub(super) fn located(
+    html: &mut String,
+    charts: &mut Vec<Panel>,
+    case: &Case,
+    name: &str,
+    found: &LocatedEffect,
+) {
+    let _ = writeln!(html, "<h3>{}</h3>\n<p>{}</p>", escaped(name), escaped(&location_text(case, found)));
     html.push_str(&map(case, found));
     let seconds = found.time_ns.range.map(|t| (t - case.span.0) as f64 * 1e-9);
     let curves = [
@@ -31,20 +37,20 @@ pub(super) fn located(html: &mut String, charts: &mut Vec<Panel>, case: &Case, n
     let other = found.curve_of.filter(is_another).map(|of| (&found.over, of.name(), None));
     html.push_str("<div class=\"panels\">\n");
     let curves = curves.into_iter().chain(other).filter(|(curve, ..)| !curve.at.is_empty());
-    curves.for_each(|(curve, label, range)| small(curve, label, range).put(html, charts));
+    curves.for_each(|(curve, label, range)| gain_panel(curve, label, range).put(html, charts));
     html.push_str("</div>\n");
 }
 
-/// Which part holds the gain, and how large it is there and elsewhere.
-fn words(case: &Case, found: &Located) -> String {
-    let gain = |mean: &Mean| format!("{} \u{b1} {}", number(mean.gain), number(mean.error));
+/// Sentence on the part with the gain, and the mean gain in it and elsewhere.
+fn location_text(case: &Case, found: &LocatedEffect) -> String {
+    let gain = |mean: &MeanGain| format!("{} \u{b1} {}", number(mean.gain), number(mean.error));
     let mut text = format!("An event gains {} nats in the mean of {}. ", gain(&found.all), found.all.events);
     let mut parts: Vec<String> = Vec::new();
-    fn part<T: Copy>(
+    fn push_part_text<T: Copy>(
         parts: &mut Vec<String>,
         what: &str,
-        of: &Part<T>,
-        gain: &dyn Fn(&Mean) -> String,
+        of: &LocatedPart<T>,
+        gain: &dyn Fn(&MeanGain) -> String,
         show: &dyn Fn(T) -> String,
     ) {
         if let Some(outside) = &of.outside {
@@ -58,10 +64,12 @@ fn words(case: &Case, found: &Located) -> String {
             ));
         }
     }
-    part(&mut parts, "rows", &found.rows, &gain, &|row: u32| row.to_string());
-    part(&mut parts, "columns", &found.columns, &gain, &|column: u32| column.to_string());
-    part(&mut parts, "seconds", &found.time_ns, &gain, &|t: i64| number((t - case.span.0) as f64 * 1e-9));
-    part(&mut parts, "log photocurrent", &found.log_light, &gain, &|u: f64| number(u));
+    push_part_text(&mut parts, "rows", &found.rows, &gain, &|row: u32| row.to_string());
+    push_part_text(&mut parts, "columns", &found.columns, &gain, &|column: u32| column.to_string());
+    push_part_text(&mut parts, "seconds", &found.time_ns, &gain, &|t: i64| {
+        number((t - case.span.0) as f64 * 1e-9)
+    });
+    push_part_text(&mut parts, "log photocurrent", &found.log_light, &gain, &|u: f64| number(u));
     if let Some([on, off]) = found.by_polarity {
         let alone = if found.polarity == "both" {
             String::new()
@@ -75,7 +83,7 @@ fn words(case: &Case, found: &Located) -> String {
     }
     let _ = write!(text, "{}. ", parts.join("; "));
     if found.shape == "flat" {
-        text.push_str("It varies over nothing that was looked at.");
+        text.push_str("It varies over no evaluated covariate.");
     } else {
         let _ = write!(text, "It varies over {} ({}).", found.covariate, found.shape);
     }
@@ -84,13 +92,16 @@ fn words(case: &Case, found: &Located) -> String {
 
 /// The frame in the middle of the recording in grey, the gain per event over it, and the part in a frame of
 /// its own.
-fn map(case: &Case, found: &Located) -> String {
+fn map(case: &Case, found: &LocatedEffect) -> String {
     const TOP: f64 = 4.0;
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let size = f64::min(640.0 / width as f64, 480.0 / height as f64);
     let (wide, high) = (size * width as f64, size * height as f64);
-    let mut svg =
-        open("The scene with the gain of each place over it", f64::max(wide, 460.0) + 4.0, TOP + high + 28.0);
+    let mut svg = open_svg(
+        "The scene with the gain of each place over it",
+        f64::max(wide, 460.0) + 4.0,
+        TOP + high + 28.0,
+    );
     let _ =
         write!(svg, "<rect x=\"0\" y=\"{TOP}\" width=\"{wide:.1}\" height=\"{high:.1}\" fill=\"#e6e8eb\"/>");
     grey(&mut svg, case, size, TOP);
@@ -217,13 +228,13 @@ pub(super) fn grey(svg: &mut String, case: &Case, size: f64, top: f64) {
     }
 }
 
-/// Gain per event over something, with 95 % bars and the part that holds it.
-fn small(curve: &Curve, label: &str, range: Option<[f64; 2]>) -> Panel {
+/// Chart of the gain per event along an axis, with 95 % bars and the located part.
+fn gain_panel(curve: &GainCurve, label: &str, range: Option<[f64; 2]>) -> Panel {
     let points: Vec<(f64, f64, f64)> =
         curve.at.iter().zip(&curve.gain).map(|(at, mean)| (*at, mean.gain, 1.96 * mean.error)).collect();
     let bar = |range: [f64; 2]| {
         let [from, to] = range.map(six_digits);
-        (from, to, 0.0, "the part that holds the gain".to_owned())
+        (from, to, 0.0, "the part with the gain".to_owned())
     };
     Panel {
         x: label.into(),

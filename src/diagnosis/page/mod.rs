@@ -1,10 +1,10 @@
 //! The report as one page of HTML that needs nothing else, in the style of all pages (`photocurrent-page`):
 //! text first, then charts, which its script draws, and pictures as inline SVG.
 //!
-//! The page says what `diagnosis.json` says, and shows what that cannot hold: what was looked at, the
-//! evidence of every test, and where and when held-out frames differ from what the nominal and the fitted
-//! description predict. The same diagnosis gives the same bytes. Files have names that no stage knows; who
-//! writes the page adds them ([`with_names`]).
+//! The page has the content of `diagnosis.json`, and in addition the evaluated parts, the evidence of every
+//! test, and where and when held-out frames differ from what the nominal and the fitted description predict.
+//! The same diagnosis gives the same bytes. Files have names that the stages do not have; who writes the page
+//! adds them ([`with_names`]).
 
 mod curve;
 mod located;
@@ -15,23 +15,23 @@ mod svg;
 use crate::candidates::CANDIDATES;
 use crate::dependence::Dependence;
 use crate::diagnose::Diagnosis;
-use crate::heldout::Prediction;
+use crate::heldout::HeldOutScore;
 use crate::report::{
-    BeforeAfter, Detectable, Estimate, Finding, Parameter, Report, SceneProperty, Verdict, short as number,
-    six_digits,
+    BeforeAfter, Finding, MinimumDetectable, Parameter, Report, SceneEstimate, SceneProperty, Verdict,
+    four_digits as number, six_digits,
 };
-use crate::stages::{Proposal, Proposed};
+use crate::stages::{DecisionOutcome, EffectProposal};
 use crate::units::{name_of, readable};
 use photocurrent_page::{Curve, Page, Panel, Script, Section, escaped};
 use photocurrent_scene::case::Case;
 use std::fmt::Write;
-use svg::{Bar, Map, bars, maps};
+use svg::{ChartBar, TitledMap, bars, maps};
 
 /// The title of a page without names, and the place where names go.
 const TITLE: &str = "Diagnosis";
 const SLOT: &str = "<!-- names -->";
 
-/// The page of a report; pictures need the recording and what came of its diagnosis.
+/// The page of a report. Pictures need the recording and the diagnosis' result.
 pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> String {
     let both = case.zip(found);
     let mut charts = Vec::new();
@@ -41,29 +41,29 @@ pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> 
         Section { id, title: title.into(), html }
     };
     let mut lead = String::new();
-    head(&mut lead, report);
+    append_head(&mut lead, report);
     let sections = vec![
         part("missing", "What the description lacks", &mut |html| effects(html, report)),
         part("estimated", "Estimated with the scene", &mut |html| estimated(html, report)),
         part("before-after", "Before and after", &mut |html| fits(html, report)),
-        part("looked-at", "What was looked at", &mut |html| {
+        part("looked-at", "Evaluated parts", &mut |html| {
             if let Some(case) = case {
                 overview::overview(html, case, report, found);
             }
         }),
         part("curve", "The curve without a name", &mut |html| {
-            if let Some(dependence) = found.and_then(|found| unnamed(report, found)) {
-                curve::unnamed(html, &mut charts, dependence);
+            if let Some(dependence) = found.and_then(|found| unexplained_curve(report, found)) {
+                curve::append_unexplained(html, &mut charts, dependence);
             }
         }),
         part("where", "Where it is", &mut |html| {
             if let Some((case, found)) = both {
-                places(html, &mut charts, case, found);
+                append_locations(html, &mut charts, case, found);
             }
         }),
         part("held-out", "Held-out frames", &mut |html| {
             if let Some((case, found)) = both {
-                proof(html, &mut charts, report, case, found);
+                append_held_out_frames(html, &mut charts, report, case, found);
             }
         }),
         part("pixels", "Three pixels", &mut |html| {
@@ -80,7 +80,7 @@ pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> 
         part("not-identifiable", "Not identifiable from this recording", &mut |html| {
             not_testable(html, report)
         }),
-        part("next", "What to record next", &mut |html| next(html, report)),
+        part("next", "What to record next", &mut |html| append_next_steps(html, report)),
         part("provenance", "Provenance", &mut |html| provenance(html, report)),
     ];
     Page {
@@ -112,14 +112,14 @@ pub fn with_names(page: &str, recording: Option<&str>, description: Option<&str>
 /// Verdict, summary and effects as HTML, for a page of another kind; it has no pictures.
 pub fn section(report: &Report) -> String {
     let mut html = String::new();
-    head(&mut html, report);
+    append_head(&mut html, report);
     effects(&mut html, report);
     fits(&mut html, report);
-    next(&mut html, report);
+    append_next_steps(&mut html, report);
     html
 }
 
-fn head(html: &mut String, report: &Report) {
+fn append_head(html: &mut String, report: &Report) {
     let _ = writeln!(
         html,
         "{SLOT}\n<p><span class=\"badge\">{}</span></p>",
@@ -152,8 +152,8 @@ fn for_a_while(property: &SceneProperty) -> String {
     )
 }
 
-/// The curve of what is reported without a name.
-fn unnamed<'a>(report: &Report, found: &'a Diagnosis) -> Option<&'a Dependence> {
+/// The curve of the uncatalogued dependence that is reported.
+fn unexplained_curve<'a>(report: &Report, found: &'a Diagnosis) -> Option<&'a Dependence> {
     let is_reported = report.effects.iter().any(|effect| effect.id == "unnamed");
     let decided =
         || found.proposed.decided().and_then(|decided| decided.unexplained.as_ref()?.dependence.as_ref());
@@ -204,7 +204,7 @@ fn effects(html: &mut String, report: &Report) {
 }
 
 /// Where the effects are that were located.
-fn places(html: &mut String, charts: &mut Vec<Panel>, case: &Case, found: &Diagnosis) {
+fn append_locations(html: &mut String, charts: &mut Vec<Panel>, case: &Case, found: &Diagnosis) {
     if found.located.is_empty() {
         return;
     }
@@ -214,7 +214,7 @@ fn places(html: &mut String, charts: &mut Vec<Panel>, case: &Case, found: &Diagn
     );
     html.push_str(
         "event that the effect changes nothing of gains nothing. Orange: gain, blue: loss; bars: \
-                   95 %, by blocks of pixels; level bars: the part that holds the gain; dashed ",
+                   95 %, by blocks of pixels; level bars: the part with the gain; dashed ",
     );
     html.push_str("frame: rows and columns of it.</p>\n");
     found.located.iter().for_each(|(id, of)| located::located(html, charts, case, id, of));
@@ -286,11 +286,11 @@ fn scores(html: &mut String, found: &Diagnosis) {
         "<p class=\"note\">Statistic over its detection threshold (dashed line), on a logarithmic \
                    axis; dark bars are reported.</p>\n",
     );
-    let direct: Vec<Bar> = found
+    let direct: Vec<ChartBar> = found
         .integrity
         .findings
         .iter()
-        .map(|finding| Bar {
+        .map(|finding| ChartBar {
             label: finding.id.to_owned(),
             value: finding.statistic / finding.threshold,
             is_marked: true,
@@ -298,10 +298,10 @@ fn scores(html: &mut String, found: &Diagnosis) {
         .collect();
     let mut groups = vec![("direct tests".to_owned(), direct)];
     if let Some(decided) = found.proposed.decided() {
-        let bars = |all: &[Proposal]| {
+        let bars = |all: &[EffectProposal]| {
             all.iter()
                 .take(10)
-                .map(|one| Bar {
+                .map(|one| ChartBar {
                     label: CANDIDATES[one.candidate].label(),
                     value: one.score * one.probability,
                     is_marked: one.passed,
@@ -321,13 +321,19 @@ fn scores(html: &mut String, found: &Diagnosis) {
             html.push_str(&bars(&group));
         }
     }
-    if let Proposed::Nothing(why) = &found.proposed {
+    if let DecisionOutcome::Nothing(why) = &found.proposed {
         let _ = writeln!(html, "<p>Nothing was decided on the scene: {}.</p>", escaped(why));
     }
 }
 
 /// Held-out frames: before and after, where, when.
-fn proof(html: &mut String, charts: &mut Vec<Panel>, report: &Report, case: &Case, found: &Diagnosis) {
+fn append_held_out_frames(
+    html: &mut String,
+    charts: &mut Vec<Panel>,
+    report: &Report,
+    case: &Case,
+    found: &Diagnosis,
+) {
     let Some(before) = &found.predictions.nominal else { return };
     html.push_str(
         "<p>Every third frame is held out and predicted from the events and the other frames, as \
@@ -355,19 +361,19 @@ fn proof(html: &mut String, charts: &mut Vec<Panel>, report: &Report, case: &Cas
     }
     if let Some(sample) = &found.sample {
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
-        let map = |of: &Prediction| {
+        let map = |of: &HeldOutScore| {
             let mut map = vec![f64::NAN; width * height];
             sample.pixels.iter().zip(&of.by_pixel).for_each(|(&pixel, value)| map[pixel as usize] = *value);
             map
         };
         html.push_str("<h3>Where: error of a held-out frame as a share of the pixel's mean</h3>\n");
-        let all: Vec<Map> = std::iter::once(("nominal", map(before)))
+        let all: Vec<TitledMap> = std::iter::once(("nominal", map(before)))
             .chain(after.map(|after| ("fitted", map(after))))
             .collect();
-        html.push_str(&maps(&all, width, height, "of the mean, and more; grey: not looked at"));
+        html.push_str(&maps(&all, width, height, "of the mean, and more; grey: not evaluated"));
     }
     html.push_str("<h3>When: error by frame</h3>\n");
-    let curve = |of: &Prediction, label: &str, style| {
+    let curve = |of: &HeldOutScore, label: &str, style| {
         let points = of.by_frame.iter().map(|(frame, error)| (*frame as f64, Some(six_digits(*error))));
         Curve { label: label.into(), style, dots: true, points: points.collect(), ..Curve::default() }
     };
@@ -382,7 +388,7 @@ fn proof(html: &mut String, charts: &mut Vec<Panel>, report: &Report, case: &Cas
     panel.put(html, charts);
 }
 
-/// How well the nominal and the fitted description predict what no earlier step saw.
+/// Fit of the nominal and the fitted description to measurements that no earlier step used.
 fn fits(html: &mut String, report: &Report) {
     let fit = &report.fit;
     let rows = [
@@ -425,9 +431,9 @@ fn fits(html: &mut String, report: &Report) {
     html.push_str("</table></div>\n");
 }
 
-/// What the description leaves open.
+/// Estimated parameters of the description.
 fn estimated(html: &mut String, report: &Report) {
-    let row = |one: &Estimate| {
+    let row = |one: &SceneEstimate| {
         let value = |value: f64| readable(value, &one.unit);
         let [least, most] = one.range;
         let interval = format!("{} to {}", value(one.ci95[0]), value(one.ci95[1]));
@@ -444,9 +450,9 @@ fn estimated(html: &mut String, report: &Report) {
     );
 }
 
-/// What would have been found.
+/// Minimum detectable effects.
 fn detectable(html: &mut String, report: &Report) {
-    let row = |one: &Detectable| {
+    let row = |one: &MinimumDetectable| {
         let cell =
             |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| readable(value, &one.unit));
         let cells = vec![
@@ -469,11 +475,11 @@ fn detectable(html: &mut String, report: &Report) {
     table(html, "Detection limits", &["effect", "parameter"], &numbers, rows);
 }
 
-/// What a row of a table is of, what of that, and numbers.
-type Row = (String, Option<String>, Vec<String>);
+/// A row of a table: label, second label, numbers.
+type TableRow = (String, Option<String>, Vec<String>);
 
 /// A table of numbers; nothing without rows.
-fn table(html: &mut String, label: &str, names: &[&str], numbers: &[&str], rows: Vec<Row>) {
+fn table(html: &mut String, label: &str, names: &[&str], numbers: &[&str], rows: Vec<TableRow>) {
     if rows.is_empty() {
         return;
     }
@@ -508,7 +514,7 @@ fn not_testable(html: &mut String, report: &Report) {
     html.push_str("</dl>\n");
 }
 
-fn next(html: &mut String, report: &Report) {
+fn append_next_steps(html: &mut String, report: &Report) {
     if report.next_experiment.is_empty() {
         return;
     }

@@ -1,11 +1,11 @@
-//! One picture of the scene with what was looked at: pixels of held-out frames, pixels that tests name, rows
-//! and columns of effects.
+//! One picture of the scene with the evaluated parts marked: pixels of held-out frames, pixels that tests
+//! name, rows and columns of effects.
 
 use super::located::grey;
-use super::svg::open;
+use super::svg::open_svg;
 use crate::diagnose::Diagnosis;
 use crate::report::Report;
-use crate::sample::Sample;
+use crate::sample::PixelSample;
 use photocurrent_page::escaped;
 use photocurrent_scene::case::Case;
 use std::fmt::Write;
@@ -14,25 +14,26 @@ use std::fmt::Write;
 const MOST_MARKS: usize = 400;
 const TOP: f64 = 4.0;
 
-/// The picture, and in words what is marked.
+/// The picture, and a caption of the marks.
 pub(super) fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&Diagnosis>) {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let size = f64::min(640.0 / width as f64, 480.0 / height as f64);
     let (wide, high) = (size * width as f64, size * height as f64);
-    let mut svg = open("The scene with what was looked at and what tests name", wide + 4.0, TOP + high + 4.0);
+    let mut svg =
+        open_svg("The scene with evaluated parts and parts that tests name", wide + 4.0, TOP + high + 4.0);
     let _ =
         write!(svg, "<rect x=\"0\" y=\"{TOP}\" width=\"{wide:.1}\" height=\"{high:.1}\" fill=\"#e6e8eb\"/>");
     grey(&mut svg, case, size, TOP);
-    let mut said: Vec<String> = vec![if case.frames.is_some() {
+    let mut marks: Vec<String> = vec![if case.frames.is_some() {
         "The frame in the middle of the recording".into()
     } else {
         "The recording has no frames, so there is no picture of the scene".into()
     }];
     if let Some(sample) = found.and_then(|found| found.sample.as_ref()) {
         blocks(&mut svg, sample, width, size);
-        said.push("yellow frames: pixels whose held-out frames are predicted".into());
+        marks.push("yellow frames: pixels whose held-out frames are predicted".into());
     }
-    let unmarked = said.len();
+    let unmarked = marks.len();
     for finding in found.map_or(&[][..], |found| &found.integrity.findings) {
         if finding.pixels.is_empty() {
             continue;
@@ -43,7 +44,7 @@ pub(super) fn overview(html: &mut String, case: &Case, report: &Report, found: O
         } else {
             String::new()
         };
-        said.push(format!("orange circles: {} pixels of {}{cut}", finding.pixels.len(), finding.id));
+        marks.push(format!("orange circles: {} pixels of {}{cut}", finding.pixels.len(), finding.id));
     }
     for effect in &report.effects {
         let ([top, bottom], [left, right]) = (
@@ -54,17 +55,17 @@ pub(super) fn overview(html: &mut String, case: &Case, report: &Report, found: O
             continue;
         }
         dashed(&mut svg, [left, top, right, bottom], size);
-        said.push(format!(
+        marks.push(format!(
             "dashed frame: rows {top} to {bottom}, columns {left} to {right}, where {} shows",
             effect.id
         ));
     }
-    if said.len() == unmarked {
-        said.push("no test names single pixels, rows or columns".into());
+    if marks.len() == unmarked {
+        marks.push("no test names single pixels, rows or columns".into());
     }
     let masked = found.map_or(0, |found| found.integrity.masked.len());
     if masked > 0 {
-        said.push(format!("{masked} pixels were left out of everything that needs a scene"));
+        marks.push(format!("{masked} pixels were left out of everything that needs a scene"));
     }
     let events = case.events.len();
     let frames = case.frames.as_ref().map_or(0, |frames| frames.times.len());
@@ -72,7 +73,7 @@ pub(super) fn overview(html: &mut String, case: &Case, report: &Report, found: O
     let _ = writeln!(
         html,
         "<figure>{svg}</svg>\n<figcaption>{}.</figcaption></figure>",
-        escaped(&said.join("; "))
+        escaped(&marks.join("; "))
     );
     let _ = writeln!(
         html,
@@ -82,7 +83,7 @@ pub(super) fn overview(html: &mut String, case: &Case, report: &Report, found: O
 }
 
 /// Frames around the blocks of a sample: all pixels of a block are one rectangle.
-fn blocks(svg: &mut String, sample: &Sample, width: usize, size: f64) {
+fn blocks(svg: &mut String, sample: &PixelSample, width: usize, size: f64) {
     let mut blocks: Vec<[usize; 4]> = vec![[usize::MAX, usize::MAX, 0, 0]; sample.block_count];
     for (&pixel, &block) in sample.pixels.iter().zip(&sample.block) {
         let (x, y, of) = (pixel as usize % width, pixel as usize / width, &mut blocks[block as usize]);

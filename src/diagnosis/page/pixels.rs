@@ -1,10 +1,10 @@
-//! Example pixels: what was recorded, and the light that the sensor must have seen, with the nominal and with
-//! the fitted description.
+//! Example pixels: recorded events and frames, and the estimated light with the nominal and with the fitted
+//! description.
 
 use crate::diagnose::Diagnosis;
-use crate::heldout::Prediction;
+use crate::heldout::HeldOutScore;
 use crate::report::six_digits;
-use crate::sample::Sample;
+use crate::sample::PixelSample;
 use photocurrent_page::{Curve, Panel};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
@@ -22,7 +22,7 @@ pub(super) fn examples(html: &mut String, charts: &mut Vec<Panel>, case: &Case, 
     };
     let after = found.predictions.fitted.as_ref();
     let is_example = |n: &usize| {
-        before.by_pixel[*n].is_finite() && case.events.of(sample.pixels[*n] as usize).len() >= FEWEST
+        before.by_pixel[*n].is_finite() && case.events.of_pixel(sample.pixels[*n] as usize).len() >= FEWEST
     };
     let mut ranked: Vec<usize> = (0..sample.len()).filter(is_example).collect();
     if ranked.is_empty() {
@@ -36,7 +36,7 @@ pub(super) fn examples(html: &mut String, charts: &mut Vec<Panel>, case: &Case, 
     html.push_str("events. Triangles: events, ON above, OFF below.</p>\n");
     for (share, word) in [(0.02, "predicted worst"), (0.5, "predicted as usual"), (0.98, "predicted best")] {
         let n = ranked[((ranked.len() as f64 * share) as usize).min(ranked.len() - 1)];
-        let (x, y) = case.place(sample.pixels[n] as usize);
+        let (x, y) = case.pixel_place(sample.pixels[n] as usize);
         let fitted = after.map_or_else(String::new, |after| {
             format!(", by {:.1} % with the fitted one", 100.0 * after.by_pixel[n])
         });
@@ -46,13 +46,13 @@ pub(super) fn examples(html: &mut String, charts: &mut Vec<Panel>, case: &Case, 
              description{fitted}</h3>",
             100.0 * before.by_pixel[n]
         );
-        one(case, &nominal, sample, described(before, after, n), n).put(html, charts);
+        pixel_panel(case, &nominal, sample, described(before, after, n), n).put(html, charts);
     }
 }
 
 /// The estimated light of pixel `n` of the sample, with each description.
-fn described(before: &Prediction, after: Option<&Prediction>, n: usize) -> Vec<Curve> {
-    let curve = |of: &Prediction, label: &str, style| {
+fn described(before: &HeldOutScore, after: Option<&HeldOutScore>, n: usize) -> Vec<Curve> {
+    let curve = |of: &HeldOutScore, label: &str, style| {
         let (t, u) = of.light.pixel(n);
         let points = t.iter().zip(u).map(|(t, u)| (six_digits(*t as f64 * 1e-6), Some(six_digits(*u))));
         Curve { label: label.into(), style, points: points.collect(), ..Curve::default() }
@@ -60,7 +60,7 @@ fn described(before: &Prediction, after: Option<&Prediction>, n: usize) -> Vec<C
     std::iter::once(curve(before, "nominal", 0)).chain(after.map(|of| curve(of, "fitted", 1))).collect()
 }
 
-fn one(case: &Case, nominal: &Nominal, sample: &Sample, series: Vec<Curve>, n: usize) -> Panel {
+fn pixel_panel(case: &Case, nominal: &Nominal, sample: &PixelSample, series: Vec<Curve>, n: usize) -> Panel {
     let pixel = sample.pixels[n] as usize;
     let ms = |t_ns: i64| six_digits(t_ns as f64 * 1e-6);
     let bar = |frame: usize| {
@@ -73,14 +73,19 @@ fn one(case: &Case, nominal: &Nominal, sample: &Sample, series: Vec<Curve>, n: u
         x_range: Some([ms(case.span.0), ms(case.span.1)]),
         series,
         bars: (0..case.frame_count()).filter_map(bar).collect(),
-        ticks: case.events.of(pixel).iter().map(|event| (ms(event.t_in_ns), event.polarity > 0)).collect(),
+        ticks: case
+            .events
+            .of_pixel(pixel)
+            .iter()
+            .map(|event| (ms(event.t_in_ns), event.polarity > 0))
+            .collect(),
         ..Panel::default()
     }
 }
 
 /// A frame as log light: from, to (ms), level.
 fn level(case: &Case, nominal: &Nominal, frame: usize, pixel: usize) -> Option<(f64, f64, f64)> {
-    let exposure = case.frames.as_ref()?.times.exposure(frame, case.place(pixel).1);
+    let exposure = case.frames.as_ref()?.times.exposure(frame, case.pixel_place(pixel).1);
     let seconds = (exposure.end.0 - exposure.start.0) as f64 * 1e-9;
     let charge = nominal.number.integral(case.dn(frame, pixel));
     (charge > 0.0 && seconds > 0.0)

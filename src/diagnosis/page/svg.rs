@@ -1,11 +1,11 @@
 //! Small charts as SVG text: bars, maps of pixels.
 
-use crate::report::short;
+use crate::report::four_digits;
 use photocurrent_page::escaped;
 use std::fmt::Write;
 
 /// A bar of a chart.
-pub(super) struct Bar {
+pub(super) struct ChartBar {
     /// Next to it.
     pub label: String,
     /// Its length, in multiples of the detection threshold.
@@ -19,7 +19,7 @@ pub(super) const COLOURS: [&str; 2] = ["var(--c0)", "var(--c1)"];
 
 /// Horizontal bars on a logarithmic axis from a tenth of the detection threshold up, with a line at that
 /// threshold.
-pub(super) fn bars(bars: &[Bar]) -> String {
+pub(super) fn bars(bars: &[ChartBar]) -> String {
     const LEFT: f64 = 220.0;
     const WIDTH: f64 = 420.0;
     const ROW: f64 = 22.0;
@@ -27,7 +27,7 @@ pub(super) fn bars(bars: &[Bar]) -> String {
     let decades = libm::log10(most) + 1.0;
     let x = |value: f64| LEFT + WIDTH * (libm::log10(f64::max(value, 0.1)) + 1.0) / decades;
     let height = ROW * bars.len() as f64 + 8.0;
-    let mut svg = open("Evidence of each test", LEFT + WIDTH + 80.0, height);
+    let mut svg = open_svg("Evidence of each test", LEFT + WIDTH + 80.0, height);
     for (row, bar) in bars.iter().enumerate() {
         let y = ROW * row as f64 + 4.0;
         let colour = if bar.is_marked { COLOURS[0] } else { "var(--edge)" };
@@ -61,12 +61,12 @@ pub(super) fn bars(bars: &[Bar]) -> String {
 }
 
 /// A map with its title: a value for each pixel of an array, NaN = not known.
-pub(super) type Map = (&'static str, Vec<f64>);
+pub(super) type TitledMap = (&'static str, Vec<f64>);
 
 /// Maps of one array side by side, on one scale from white (0) to dark red (the 98th percentile of all and
 /// more); what is not known stays grey. Pixels of a large array are put together. `what` names value and
 /// unit.
-pub(super) fn maps(all: &[Map], width: usize, height: usize, what: &str) -> String {
+pub(super) fn maps(all: &[TitledMap], width: usize, height: usize, what: &str) -> String {
     const MOST: usize = 128;
     const GAP: f64 = 20.0;
     const TOP: f64 = 20.0;
@@ -89,7 +89,7 @@ pub(super) fn maps(all: &[Map], width: usize, height: usize, what: &str) -> Stri
     let most = f64::max(photocurrent_scene::statistics::quantile(&known, 0.98), 1e-9);
     let size = ((700.0 - GAP) / all.len().max(2) as f64 / across as f64).min(8.0);
     let (wide, high) = (size * across as f64, size * down as f64);
-    let mut svg = open(what, f64::max((wide + GAP) * all.len() as f64, 460.0), TOP + high + 26.0);
+    let mut svg = open_svg(what, f64::max((wide + GAP) * all.len() as f64, 460.0), TOP + high + 26.0);
     let colour = |share: f64| {
         let shade = (255.0 - 225.0 * share.clamp(0.0, 1.0)) as u8;
         format!("rgb(255,{shade},{})", shade / 2 + 60)
@@ -123,14 +123,14 @@ pub(super) fn maps(all: &[Map], width: usize, height: usize, what: &str) -> Stri
         svg,
         "<text x=\"0\" y=\"{:.1}\">0</text><text x=\"120\" y=\"{0:.1}\">{} {}</text></svg>",
         y + 10.0,
-        short(most),
+        four_digits(most),
         escaped(what)
     );
     svg
 }
 
-/// The head of a picture; `what` is its name for those who do not see it.
-pub(super) fn open(what: &str, width: f64, height: f64) -> String {
+/// Opening tag of an SVG picture; `what` is its accessible name.
+pub(super) fn open_svg(what: &str, width: f64, height: f64) -> String {
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"figure\" role=\"img\" aria-label=\"{}\" \
          viewBox=\"0 0 {width:.1} {height:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" \

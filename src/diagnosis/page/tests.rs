@@ -2,13 +2,13 @@
 
 use super::*;
 use crate::covariates::Covariate;
-use crate::dependence::{Dependence, Moved};
-use crate::diagnose::{Setting, broken, check, confirm};
-use crate::residual::located::{Ground, LocatedSetting, Locations, Values};
-use crate::stages::{Decided, Proposal, Unexplained};
+use crate::dependence::{AffectedQuantity, Dependence};
+use crate::diagnose::{ConfirmSetting, check, confirm, unreadable_report};
+use crate::residual::located::{EffectLocations, GainingValues, LocatedSetting, LocationData};
+use crate::stages::{EffectProposal, SceneDecision, Unexplained};
 use crate::testing;
 
-/// Is the page whole, with nothing loaded from elsewhere and no number that failed?
+/// Is the page complete, without external resources and without numbers that are not finite?
 fn is_sound(html: &str) {
     assert!(html.starts_with("<!doctype html>") && html.ends_with("</html>\n"));
     let data = charts(html).to_string();
@@ -35,14 +35,14 @@ fn charts(html: &str) -> serde_json::Value {
     charts
 }
 
-fn diagnosed(case: &Case, proposed: Proposed) -> Diagnosis {
-    confirm(case, &Setting::default(), check(case).unwrap(), proposed).unwrap()
+fn diagnosed(case: &Case, proposed: DecisionOutcome) -> Diagnosis {
+    confirm(case, &ConfirmSetting::default(), check(case).unwrap(), proposed).unwrap()
 }
 
 #[test]
 fn a_page_is_whole_and_needs_no_other_file() {
     let case = testing::case();
-    let found = diagnosed(&case, Proposed::NotAsked);
+    let found = diagnosed(&case, DecisionOutcome::NotAsked);
     let html = page(&found.report, Some(&case), Some(&found));
     is_sound(&html);
     for part in [
@@ -50,7 +50,7 @@ fn a_page_is_whole_and_needs_no_other_file() {
         "Held-out frames",
         "Three pixels",
         "Not identifiable from this recording",
-        "What was looked at",
+        "Evaluated parts",
     ] {
         assert!(html.contains(part), "{part}");
     }
@@ -66,21 +66,21 @@ fn what_is_claimed_is_shown_before_and_after() {
         &[("leak_events".to_owned(), leak.as_object().unwrap().clone())].into_iter().collect(),
     );
     let candidate = CANDIDATES.iter().position(|one| one.id == "leak_events").unwrap();
-    let proposal = Proposal {
+    let proposal = EffectProposal {
         candidate,
         score: 1.1,
         probability: 0.9,
         value: 25.0,
         passed: true,
-        ..Proposal::default()
+        ..EffectProposal::default()
     };
     let found = diagnosed(
         &case,
-        Proposed::Decided(Box::new(Decided {
+        DecisionOutcome::Decided(Box::new(SceneDecision {
             name: "picture".into(),
             detected: true,
             proposals: vec![proposal],
-            ..Decided::default()
+            ..SceneDecision::default()
         })),
     );
     let html = page(&found.report, Some(&case), Some(&found));
@@ -112,7 +112,7 @@ fn a_curve_without_a_name_is_drawn_as_it_was_measured() {
         taken: 0.2,
         significance: 9.0,
         nats_per_event: 0.1,
-        ..Dependence::over(Covariate::RowParity, Moved::Threshold)
+        ..Dependence::empty_over(Covariate::RowParity, AffectedQuantity::Threshold)
     };
     let unexplained = Unexplained {
         covariate: dependence.covariate.name().into(),
@@ -120,13 +120,13 @@ fn a_curve_without_a_name_is_drawn_as_it_was_measured() {
         dependence: Some(dependence),
         ..Unexplained::default()
     };
-    let decided = Decided {
+    let decided = SceneDecision {
         name: "picture".into(),
         detected: true,
         unexplained: Some(unexplained),
-        ..Decided::default()
+        ..SceneDecision::default()
     };
-    let found = diagnosed(&case, Proposed::Decided(Box::new(decided)));
+    let found = diagnosed(&case, DecisionOutcome::Decided(Box::new(decided)));
     assert_eq!(found.report.verdict, Verdict::Unnamed);
     let html = page(&found.report, Some(&case), Some(&found));
     is_sound(&html);
@@ -146,13 +146,13 @@ fn a_part_of_the_array_is_reported_and_framed_on_a_picture_of_the_scene() {
     );
     let (mut pixel, mut t_ns, mut polarity) = (Vec::new(), Vec::new(), Vec::new());
     for at in 0..case.events.pixels() {
-        for event in case.events.of(at) {
+        for event in case.events.of_pixel(at) {
             pixel.push(at as u32);
             t_ns.push(event.t_in_ns);
             polarity.push(event.polarity);
         }
     }
-    let place = |k: usize| case.place(pixel[k] as usize);
+    let place = |k: usize| case.pixel_place(pixel[k] as usize);
     let block: Vec<u32> = (0..pixel.len())
         .map(|k| 2 * (place(k).1 / 2 * 6 + place(k).0 / 2) + (place(k).0 / 2 + place(k).1 / 2) % 2)
         .collect();
@@ -161,25 +161,30 @@ fn a_part_of_the_array_is_reported_and_framed_on_a_picture_of_the_scene() {
         .map(|k| if place(k).0 < 6 { 1.0 + 0.1 * (k % 7) as f64 } else { 0.01 * (k % 7) as f64 - 0.02 })
         .collect();
     let setting = LocatedSetting { least_events: 20, rim_events: 4, ..LocatedSetting::default() };
-    let on = Values { pixel: &pixel, t_ns: &t_ns, polarity: &polarity, log_light: &light, block: &block };
-    let located = Ground::new(&case, on, &[], &setting).locate(&gains, "time_since_last_event");
+    let on =
+        GainingValues { pixel: &pixel, t_ns: &t_ns, polarity: &polarity, log_light: &light, block: &block };
+    let located = LocationData::new(&case, on, &[], &setting).locate(&gains, "time_since_last_event");
     assert_eq!(located.columns.range, [0, 5]);
     let candidate = CANDIDATES.iter().position(|one| one.id == "leak_events").unwrap();
-    let proposal = Proposal {
+    let proposal = EffectProposal {
         candidate,
         score: 1.1,
         probability: 0.9,
         value: 25.0,
         passed: true,
-        ..Proposal::default()
+        ..EffectProposal::default()
     };
-    let decided =
-        Decided { name: "picture".into(), detected: true, proposals: vec![proposal], ..Decided::default() };
-    let with_place = Decided {
-        located: Locations { first: vec![(candidate, located)], ..Locations::default() },
+    let decided = SceneDecision {
+        name: "picture".into(),
+        detected: true,
+        proposals: vec![proposal],
+        ..SceneDecision::default()
+    };
+    let with_place = SceneDecision {
+        located: EffectLocations { first: vec![(candidate, located)], ..EffectLocations::default() },
         ..decided.clone()
     };
-    let found = diagnosed(&case, Proposed::Decided(Box::new(with_place)));
+    let found = diagnosed(&case, DecisionOutcome::Decided(Box::new(with_place)));
     let place = &found.report.effects[0].location;
     assert_eq!(
         (place.columns, place.rows, &place.stream[..], place.shape.as_deref()),
@@ -197,15 +202,16 @@ fn a_part_of_the_array_is_reported_and_framed_on_a_picture_of_the_scene() {
         let chart = &charts(&html)[first + at];
         assert_eq!((&chart["x"], &chart["y"]), (&(*x).into(), &"nats an event".into()));
     }
-    // Nothing is placed that nobody measured.
-    let found = diagnosed(&case, Proposed::Decided(Box::new(decided)));
+    // Nothing is located that was not measured.
+    let found = diagnosed(&case, DecisionOutcome::Decided(Box::new(decided)));
     assert!(found.located.is_empty() && found.report.effects[0].location.shape.is_none());
     assert!(!page(&found.report, Some(&case), Some(&found)).contains("Where it is"));
 }
 
 #[test]
 fn files_are_named_in_title_heading_and_lead() {
-    let html = with_names(&page(&broken("nothing", 1), None, None), Some("a <b>.h5"), Some("mine.toml"));
+    let html =
+        with_names(&page(&unreadable_report("nothing", 1), None, None), Some("a <b>.h5"), Some("mine.toml"));
     for part in [
         "<title>Diagnosis: a &lt;b&gt;.h5</title>",
         "<h1>Diagnosis: a &lt;b&gt;.h5</h1>",
@@ -216,13 +222,15 @@ fn files_are_named_in_title_heading_and_lead() {
 }
 
 #[test]
-fn what_nearly_reached_its_threshold_is_said_first() {
+fn effects_near_their_threshold_are_listed_first() {
     let case = testing::case();
     let candidate = CANDIDATES.iter().position(|one| one.id == "leak_events").unwrap();
     let with = |score: f64| {
-        let proposal = Proposal { candidate, score, probability: 1.0, value: 25.0, ..Proposal::default() };
-        let decided = Decided { name: "picture".into(), proposals: vec![proposal], ..Decided::default() };
-        let found = diagnosed(&case, Proposed::Decided(Box::new(decided)));
+        let proposal =
+            EffectProposal { candidate, score, probability: 1.0, value: 25.0, ..EffectProposal::default() };
+        let decided =
+            SceneDecision { name: "picture".into(), proposals: vec![proposal], ..SceneDecision::default() };
+        let found = diagnosed(&case, DecisionOutcome::Decided(Box::new(decided)));
         page(&found.report, Some(&case), Some(&found))
     };
     let lead = |html: &str| html.split("<section").next().unwrap().to_owned();
@@ -235,7 +243,7 @@ fn what_nearly_reached_its_threshold_is_said_first() {
 
 #[test]
 fn estimates_stand_in_report_page_and_fitted_description() {
-    use crate::report::Estimate;
+    use crate::report::SceneEstimate;
     use crate::unknowns::unknowns;
     use photocurrent_core::quantity::Duration;
     use photocurrent_core::sensor::Range;
@@ -243,9 +251,10 @@ fn estimates_stand_in_report_page_and_fitted_description() {
     let range = Range::Time([1_000_000, 25_000_000].map(Duration::new));
     case.sensor.ranges.insert("front_end.alpha".to_owned(), range);
     let unknown = &unknowns(&case.sensor)[0];
-    let estimated: Vec<Estimate> = vec![unknown.estimated(libm::log(6e-3), 0.1)];
-    let decided = Decided { name: "joint".into(), estimated: estimated.clone(), ..Decided::default() };
-    let found = diagnosed(&case, Proposed::Decided(Box::new(decided)));
+    let estimated: Vec<SceneEstimate> = vec![unknown.estimated(libm::log(6e-3), 0.1)];
+    let decided =
+        SceneDecision { name: "joint".into(), estimated: estimated.clone(), ..SceneDecision::default() };
+    let found = diagnosed(&case, DecisionOutcome::Decided(Box::new(decided)));
     assert_eq!(found.report.estimated, estimated);
     // Found or not: the estimate is in the description, and nothing is open any more.
     let fitted = found.fitted.as_ref().unwrap();
@@ -255,13 +264,13 @@ fn estimates_stand_in_report_page_and_fitted_description() {
     assert!(html.contains("Estimated with the scene") && html.contains("front_end.alpha"));
     assert!(html.contains("1 ms to 25 ms") && found.report.summary.contains("front_end.alpha 6 ms"));
     // Without a range there is no such table.
-    let without = diagnosed(&testing::case(), Proposed::NotAsked);
+    let without = diagnosed(&testing::case(), DecisionOutcome::NotAsked);
     assert!(!page(&without.report, Some(&case), Some(&without)).contains("Estimated with the scene"));
 }
 
 #[test]
 fn text_of_a_file_cannot_become_markup() {
-    let html = page(&broken("<script>alert(1)</script> & more", 1), None, None);
+    let html = page(&unreadable_report("<script>alert(1)</script> & more", 1), None, None);
     assert!(
         html.contains("&lt;script&gt;alert(1)&lt;/script&gt; &amp; more") && !html.contains("<script>alert")
     );

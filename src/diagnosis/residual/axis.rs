@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Gain per event, nats.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Mean {
+pub struct MeanGain {
     /// The mean.
     pub gain: f64,
     /// Its standard error, by blocks of pixels.
@@ -19,12 +19,12 @@ pub(super) fn best(
     gains: &[f64],
     at: &[usize],
     steps: usize,
-    is_asked: &dyn Fn(usize) -> bool,
+    is_selected: &dyn Fn(usize) -> bool,
     least: usize,
     rim: usize,
 ) -> Option<(usize, usize)> {
     let mut sums = vec![(0.0, 0_usize); steps + 1];
-    for k in (0..gains.len()).filter(|&k| is_asked(k)) {
+    for k in (0..gains.len()).filter(|&k| is_selected(k)) {
         sums[at[k] + 1].0 += gains[k];
         sums[at[k] + 1].1 += 1;
     }
@@ -55,14 +55,14 @@ pub(super) fn best(
 }
 
 /// Mean of sums by block (sum, how many) and its standard error.
-pub(super) fn mean(sums: &[(f64, f64)]) -> Mean {
+pub(super) fn mean_gain(sums: &[(f64, f64)]) -> MeanGain {
     let (all, count) = sums.iter().fold((0.0, 0.0), |(all, count), sum| (all + sum.0, count + sum.1));
     let gain = all / f64::max(count, 1.0);
     let blocks = sums.iter().filter(|sum| sum.1 > 0.0).count() as f64;
     let spread: f64 = sums.iter().map(|(sum, count)| (sum - gain * count) * (sum - gain * count)).sum();
     // One block has no spread: its error is as large as the gain itself.
     let error = if blocks > 1.0 { libm::sqrt(spread * blocks / (blocks - 1.0)) / count } else { gain.abs() };
-    Mean { gain, error, events: count as usize }
+    MeanGain { gain, error, events: count as usize }
 }
 
 /// How a curve runs, in a word.

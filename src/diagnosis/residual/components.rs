@@ -1,40 +1,39 @@
-//! Random effects, read off the same residuals: each as a further part of their distribution, with its gain
-//! in nats an event, so that it stands with effects that have a column.
+//! Random effects as variance components of the residuals, each with its gain in nats per event, comparable
+//! with that of effects with a column.
 //!
-//! With u = polarity times residual over threshold: thresholds that differ from pixel to pixel are a size of
-//! the threshold's column of each pixel's own, refractory periods that differ one of the refractory period's;
-//! threshold noise and stamp noise widen u; an event without a crossing has any u between -2 and 0; after a
-//! lost event the next has a whole threshold more.
+//! With u = polarity times residual over threshold: thresholds that differ between pixels are a size of the
+//! threshold's column per pixel, refractory periods that differ one of the refractory period's. Threshold
+//! noise and stamp noise widen u. An event without a crossing has any u between -2 and 0. After a lost event
+//! the next one has one more threshold.
 //!
-//! What a picture gets wrong widens u as well, but alike in all pixels that see the same place of it. So only
-//! the share of the squares that other pixels at the same place of the picture do not share ([`white_share`])
-//! counts as noise of pixels.
+//! Errors of a picture widen u too, but alike in all pixels at the same place of it. So only the share of the
+//! squares that such pixels do not have in common ([`white_share`]) counts as noise of pixels.
 
-use super::Residuals;
-use super::fit::{EventNoise, Rows, fit};
+use super::EventResiduals;
+use super::fit::{EventNoise, ResidualRows, fit};
 use crate::candidates::CANDIDATES;
-use photocurrent_scene::Cell;
+use photocurrent_scene::SceneCell;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::statistics::NU;
 use photocurrent_scene::statistics::median;
 
-/// One part of the distribution: its candidate, gain in nats an event, and size.
+/// One variance component: its candidate, gain in nats per event, and size.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Part {
+pub(super) struct VarianceComponent {
     /// Number in [`CANDIDATES`].
     pub candidate: usize,
     /// Held-out gain over the plain distribution, nats an event.
     pub gain: f64,
     /// Size: a standard deviation or a share, in the unit of the parts' own.
     pub size: f64,
-    /// Residuals without what it shifts; none where it only widens them.
+    /// Residuals corrected for its shifts; `None` where it only widens them.
     pub left: Option<Vec<f64>>,
 }
 
-/// What parts are measured on.
-pub(super) struct Ground<'a> {
+/// Data of the fits: residuals, columns and blocks.
+pub(super) struct ComponentData<'a> {
     /// The events.
-    pub events: &'a Residuals,
+    pub events: &'a EventResiduals,
     /// Their residuals, natural-log units, with whatever was found applied.
     pub residual: &'a [f64],
     /// Columns of the threshold's scale and of the refractory period, natural-log units per effect size.
@@ -43,7 +42,7 @@ pub(super) struct Ground<'a> {
     pub white: f64,
     /// Mean threshold, natural-log units.
     pub threshold: f64,
-    /// May the scene err by parts of a threshold?
+    /// Can errors of the scene reach a part of a threshold?
     pub errs: bool,
     /// Least threshold noise.
     pub least: f64,
@@ -55,20 +54,20 @@ pub(super) struct Ground<'a> {
 const LEAST_OF_PIXEL: usize = 2;
 /// And pixels below this for a spread of sizes.
 const LEAST_PIXELS: usize = 20;
-/// Where differences between pixels leave less than this share of the squares, they are what widens
-/// residuals, and not noise of single events.
+/// Residual share of squares below which differences between pixels explain the spread, and not noise of
+/// single events.
 const MOST_LEFT: f64 = 0.5;
-/// A scene errs for no larger share of the events, or noise would have none left.
+/// Largest share of events with errors of the scene; above it no share would be left for noise.
 const MOST_ERRS: f64 = 0.5;
 /// Pairs of events below this are too few for a share.
 const LEAST_PAIRS: usize = 200;
 
-/// Share of the squares of residuals that pixels at the same place of the picture do not share, 0 to 1; 0
-/// where too few do. `pixel`, `polarity` and what the pixels looked at (`cells`), of each event.
-pub(super) fn white_share((pixel, polarity): (&[u32], &[i8]), residual: &[f64], cells: &[Cell]) -> f64 {
+/// Share of the residual squares that pixels at the same place of the picture do not have in common, 0 to 1;
+/// 0 where too few share one. Per event: `pixel`, `polarity`, and the cell of the picture (`cells`).
+pub(super) fn white_share((pixel, polarity): (&[u32], &[i8]), residual: &[f64], cells: &[SceneCell]) -> f64 {
     let mut sizes: Vec<f64> = residual.iter().map(|r| r.abs()).collect();
     let most = 4.0 * median(&mut sizes);
-    let mut order: Vec<((Cell, i8), u32, usize)> =
+    let mut order: Vec<((SceneCell, i8), u32, usize)> =
         (0..residual.len()).map(|k| ((cells[k], polarity[k]), pixel[k], k)).collect();
     order.sort_unstable();
     let (mut products, mut squares, mut pairs) = (0.0, 0.0, 0);
@@ -81,34 +80,34 @@ pub(super) fn white_share((pixel, polarity): (&[u32], &[i8]), residual: &[f64], 
     if pairs < LEAST_PAIRS || squares == 0.0 { 0.0 } else { (1.0 - products / squares).clamp(0.0, 1.0) }
 }
 
-/// The effects that are differences between pixels, in the order of [`Ground::columns`].
+/// The effects that are differences between pixels, in the order of [`ComponentData::columns`].
 pub(super) const SPREADS: [&str; 2] = [MISMATCH, SPREAD];
 pub(super) const MISMATCH: &str = "threshold_mismatch";
 const SPREAD: &str = "refractory_spread";
 
-/// What a distribution with a random effect is to residuals.
-struct Wider {
+/// Fit of a distribution with a random effect to residuals.
+struct WiderFit {
     /// Nats an event.
     gain: f64,
     size: f64,
-    /// Residuals without what it makes of each pixel or of their mean; none where it moves none.
+    /// Residuals corrected for each pixel's shift or the mean shift; `None` without shifts.
     left: Option<Vec<f64>>,
 }
 
-/// All parts of a recording.
+/// All variance components of a recording.
 ///
-/// `noise`: of the plain distribution, usually the control's.
-pub(super) fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
+/// `noise`: of the distribution without them, usually the control's.
+pub(super) fn variance_components(ground: &ComponentData<'_>, noise: &EventNoise) -> Vec<VarianceComponent> {
     let find = |id: &str| CANDIDATES.iter().position(|candidate| candidate.id == id && candidate.is_random);
     let own = EventNoise::estimate(ground.residual, &ground.events.slope_per_s, ground.least);
     let mut found = Vec::new();
-    let mut push = |id: &str, Wider { gain, size, left }: Wider| {
+    let mut push = |id: &str, WiderFit { gain, size, left }: WiderFit| {
         if let Some(candidate) = find(id) {
-            found.push(Part { candidate, gain, size, left });
+            found.push(VarianceComponent { candidate, gain, size, left });
         }
     };
-    let mismatch = ground.of_pixels(&own, ground.columns[0], true);
-    let spread = ground.of_pixels(&own, ground.columns[1], false);
+    let mismatch = ground.fit_pixel_spread(&own, ground.columns[0], true);
+    let spread = ground.fit_pixel_spread(&own, ground.columns[1], false);
     // Noise of single events is what differences between pixels leave.
     let larger = if mismatch.gain > spread.gain { &mismatch } else { &spread };
     let rest = larger.left.clone().unwrap_or_else(|| ground.residual.to_vec());
@@ -125,9 +124,12 @@ pub(super) fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
     } else {
         EventNoise { a: f64::max(noise.a, shared * left.a), b: f64::max(noise.b, shared * left.b) }
     };
-    push("threshold_noise", ground.wider(&rest, &before, &EventNoise { a: left.a, b: before.b }, left.a));
-    let of_stamps = ground.wider(&rest, &before, &EventNoise { a: before.a, b: left.b }, left.b);
-    let of_comparators = ground.late(noise).filter(|late| late.gain > of_stamps.gain);
+    push(
+        "threshold_noise",
+        ground.fit_wider_noise(&rest, &before, &EventNoise { a: left.a, b: before.b }, left.a),
+    );
+    let of_stamps = ground.fit_wider_noise(&rest, &before, &EventNoise { a: before.a, b: left.b }, left.b);
+    let of_comparators = ground.fit_delay_spread(noise).filter(|late| late.gain > of_stamps.gain);
     push("timestamp_jitter", of_comparators.unwrap_or(of_stamps));
     let early = |u: f64, _| if (-2.0..0.0).contains(&u) { 0.5 } else { 0.0 };
     let late = |u: f64, _| if (0.0..2.0).contains(&u) { 0.5 } else { 0.0 };
@@ -152,7 +154,7 @@ fn density(z: f64) -> f64 {
     0.367_552_596_947_861_4 / (base * base)
 }
 
-impl Ground<'_> {
+impl ComponentData<'_> {
     fn u(&self, k: usize) -> f64 {
         f64::from(self.events.polarity[k]) * self.residual[k] / self.threshold
     }
@@ -162,21 +164,27 @@ impl Ground<'_> {
     }
 
     /// Gain of a wider distribution, and its size.
-    fn wider(&self, residual: &[f64], before: &EventNoise, after: &EventNoise, size: f64) -> Wider {
+    fn fit_wider_noise(
+        &self,
+        residual: &[f64],
+        before: &EventNoise,
+        after: &EventNoise,
+        size: f64,
+    ) -> WiderFit {
         let slope = &self.events.slope_per_s;
         let gain = after.log_density(residual, slope) - before.log_density(residual, slope);
-        Wider { gain: gain / residual.len().max(1) as f64, size, left: None }
+        WiderFit { gain: gain / residual.len().max(1) as f64, size, left: None }
     }
 
-    /// Comparators that answer late, each time by another delay: residuals grow with the slope, and so does
-    /// their spread. Gain, the standard deviation of the delay, seconds, and residuals without their mean
-    /// delay; none where delays do not differ.
-    fn late(&self, noise: &EventNoise) -> Option<Wider> {
+    /// Random comparator delays: residuals and their spread grow with the slope. Gain, standard deviation of
+    /// the delay (s) and residuals corrected for the mean delay; `None` where delays do not vary.
+    fn fit_delay_spread(&self, noise: &EventNoise) -> Option<WiderFit> {
         let slope = &self.events.slope_per_s;
         let column: Vec<f32> = slope.iter().map(|slope| -*slope as f32).collect();
-        let rows = Rows { slope, block: &[], events: slope.len(), least: self.least, soft: None, free: &[] };
+        let rows =
+            ResidualRows { slope, block: &[], events: slope.len(), least: self.least, soft: None, free: &[] };
         let (size, left) = fit(self.residual, &rows, &[&column], |_| true);
-        let left = left.of_events();
+        let left = left.event_noise();
         if size[0] <= 0.0 {
             return None;
         }
@@ -194,24 +202,24 @@ impl Ground<'_> {
         }
         let gain = (with.log_density(&rest, slope) - plain.log_density(self.residual, slope))
             / rest.len().max(1) as f64;
-        Some(Wider { gain, size: jitter, left: Some(rest) })
+        Some(WiderFit { gain, size: jitter, left: Some(rest) })
     }
 
     /// A size of a column of each pixel's own, or of each of its polarities: gain of predicting each event
     /// from the others of its pixel, the standard deviation over pixels in effect sizes, and the residuals
     /// with each pixel's size applied.
-    fn of_pixels(&self, noise: &EventNoise, column: &[f32], by_polarity: bool) -> Wider {
+    fn fit_pixel_spread(&self, noise: &EventNoise, column: &[f32], by_polarity: bool) -> WiderFit {
         let n = self.residual.len();
         let mut order: Vec<usize> = (0..n).collect();
         let key = |k: usize| (self.events.pixel[k], if by_polarity { self.events.polarity[k] } else { 0 });
         order.sort_by_key(|&k| (key(k), k));
         let sized = |events: &[usize]| {
-            let (size, weight) = self.size(noise, column, events.iter().copied());
+            let (size, weight) = self.weighted_size(noise, column, events.iter().copied());
             (events.len() >= LEAST_OF_PIXEL && weight > 0.0).then(|| (events.to_vec(), size, weight))
         };
         let pixels: Vec<(Vec<usize>, f64, f64)> =
             order.chunk_by(|&a, &b| key(a) == key(b)).filter_map(sized).collect();
-        let nothing = Wider { gain: 0.0, size: 0.0, left: Some(self.residual.to_vec()) };
+        let nothing = WiderFit { gain: 0.0, size: 0.0, left: Some(self.residual.to_vec()) };
         if pixels.len() < LEAST_PIXELS {
             return nothing;
         }
@@ -224,7 +232,7 @@ impl Ground<'_> {
             .iter()
             .map(|(events, ..)| {
                 let half = |parity: usize| {
-                    self.size(noise, column, events.iter().copied().skip(parity).step_by(2)).0
+                    self.weighted_size(noise, column, events.iter().copied().skip(parity).step_by(2)).0
                 };
                 0.5 * (half(0) - half(1)).abs()
             })
@@ -254,11 +262,16 @@ impl Ground<'_> {
             EventNoise::estimate(residual, slope, self.least).log_density(residual, slope)
         };
         let gain = (density(&left) - density(&alike)) / n as f64;
-        Wider { gain, size: libm::sqrt(variance), left: Some(left) }
+        WiderFit { gain, size: libm::sqrt(variance), left: Some(left) }
     }
 
     /// The size of a column that some events of a pixel want, and its weight.
-    fn size(&self, noise: &EventNoise, column: &[f32], events: impl Iterator<Item = usize>) -> (f64, f64) {
+    fn weighted_size(
+        &self,
+        noise: &EventNoise,
+        column: &[f32],
+        events: impl Iterator<Item = usize>,
+    ) -> (f64, f64) {
         let (mut weight, mut sum) = (0.0, 0.0);
         for k in events {
             let (x, own) = (f64::from(column[k]), self.weight(noise, k));
@@ -274,9 +287,9 @@ impl Ground<'_> {
         (NU + 1.0) / (NU + z * z) / (sigma * sigma)
     }
 
-    /// A share of events of another distribution, by expectation and maximisation: gain, and the share, where
-    /// the scene errs for a share `errs` of all by any part of two thresholds.
-    fn mixture(&self, noise: &EventNoise, other: &dyn Fn(f64, f64) -> f64, errs: f64) -> Wider {
+    /// A mixture with another distribution, by expectation maximisation: gain and share of the events. A
+    /// share `errs` of all has errors of the scene, uniform within two thresholds.
+    fn mixture(&self, noise: &EventNoise, other: &dyn Fn(f64, f64) -> f64, errs: f64) -> WiderFit {
         let densities: Vec<(f64, f64)> = (0..self.residual.len())
             .map(|k| {
                 let (u, sigma) = (self.u(k), self.sigma(noise, k));
@@ -295,15 +308,14 @@ impl Ground<'_> {
         }
         let gain: f64 =
             densities.iter().map(|(plain, other)| libm::log1p(share * (other / plain - 1.0))).sum();
-        Wider { gain: gain / n, size: share, left: None }
+        WiderFit { gain: gain / n, size: share, left: None }
     }
 }
 
-/// The parameter of a part's size beyond the control's, in the unit of its declaration. `effect_sizes`: what
-/// one effect size of the threshold's scale and of the refractory period are, as shares of the threshold and
-/// in seconds.
-pub(super) fn value(
-    part: &Part,
+/// The parameter of a component's size beyond the control's, in the unit of its declaration. `effect_sizes`:
+/// one effect size of the threshold's scale, as a share, and of the refractory period, s.
+pub(super) fn component_parameter(
+    part: &VarianceComponent,
     control: f64,
     threshold: f64,
     effect_sizes: (f64, f64),
@@ -331,12 +343,12 @@ mod tests {
     use super::*;
     use photocurrent_core::random::Random;
 
-    /// What events too many gain, and their share, where a share of the events misses by any part of two
-    /// thresholds: on either side, or too early alone.
+    /// Gain and share of surplus events, where a share of the events misses by any part of two thresholds: on
+    /// either side, or too early alone.
     fn events_too_many(share: f64, on_either_side: bool, errs: bool) -> (f64, f64) {
         let mut random = Random::new(4, &[]);
         let (count, threshold) = (6_000, 0.2);
-        let mut events = Residuals::default();
+        let mut events = EventResiduals::default();
         let mut residual = Vec::with_capacity(count);
         for k in 0..count {
             let polarity = if k % 2 == 0 { 1.0 } else { -1.0 };
@@ -349,7 +361,7 @@ mod tests {
         }
         let column = vec![0.0; count];
         let columns = [&column[..], &column[..]];
-        let ground = Ground {
+        let ground = ComponentData {
             events: &events,
             residual: &residual,
             columns,
@@ -359,8 +371,8 @@ mod tests {
             least: 0.001 * threshold,
             least_spread: 0.01,
         };
-        let found = parts(&ground, &EventNoise { a: 0.01 * threshold, b: 0.0 });
-        let is_too_many = |part: &&Part| CANDIDATES[part.candidate].id == "background_activity";
+        let found = variance_components(&ground, &EventNoise { a: 0.01 * threshold, b: 0.0 });
+        let is_too_many = |part: &&VarianceComponent| CANDIDATES[part.candidate].id == "background_activity";
         found.iter().find(is_too_many).map_or((0.0, 0.0), |part| (part.gain, part.size))
     }
 

@@ -1,40 +1,40 @@
-//! What the method finds where nothing is: the nominal sensor on the fitted scene, its frames with the noise
-//! that was found.
+//! The control: the nominal sensor simulated on the fitted scene, with the estimated frame noise. What an
+//! effect gains on it is no evidence.
 
-use crate::curves::Curves;
-use crate::record::{Conditions, Described, record};
-use crate::sample::Sample;
+use crate::curves::LogLightCurves;
+use crate::record::{EffectParameters, SimulatedConditions, record};
+use crate::sample::PixelSample;
 use photocurrent_core::random::Random;
 use photocurrent_scene::Scene;
 use photocurrent_scene::case::{Case, CaseFrames, PixelEvents};
-use photocurrent_scene::light::Light;
+use photocurrent_scene::light::LogLight;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::elementary;
 use rayon::prelude::*;
 
-/// The scene that a control is recorded of: its light, and the frames that it gives without noise.
-pub(super) struct Behind {
+/// The scene of a control: its light, and its frames without noise.
+pub(super) struct ControlScene {
     /// Log photocurrent.
-    pub light: Light,
+    pub light: LogLight,
     /// Frames, DN as [frame][y][x]; NaN where the scene does not reach.
     pub frames: Vec<f32>,
 }
 
-/// Of light, this share is left at least when it is corrected for what a fit removes.
+/// Least share of light that the correction leaves.
 const LEAST_LEFT: f64 = 0.3;
 
-impl Behind {
-    /// Of light.
-    pub(super) fn of(case: &Case, nominal: &Nominal, light: Light) -> Behind {
-        Behind { frames: light.frames(case, nominal), light }
+impl ControlScene {
+    /// From the light of the fitted scene.
+    pub(super) fn from_light(case: &Case, nominal: &Nominal, light: LogLight) -> ControlScene {
+        ControlScene { frames: light.frames(case, nominal), light }
     }
 
-    /// The scene that gives a fitted one when its frames are fitted, to first order: it has what the fit
-    /// removes, and what frames leave open is drawn at random.
+    /// A scene whose fit equals the fitted one, to first order: it contains what the fit removes, and a
+    /// posterior sample of what frames leave open.
     ///
-    /// A fit of frames of the scene s gives f(s) = s + b(s). With r rough around s' = f(s), s' + a (r - f(r))
-    /// is fitted as s' where b changes little between the two; a, 0 to 1, is how much of the pattern that
-    /// frames of r lose is in the residuals of frames. `light`: of s'.
+    /// A fit of frames of the scene s gives f(s) = s + b(s). With r a rough scene around s' = f(s), the fit
+    /// of s' + a (r - f(r)) is s' where b changes little between the two. The factor a, 0 to 1, is the share
+    /// of the pattern lost from frames of r that is in the frame residuals. `light`: of s'.
     ///
     /// # Errors
     /// When frames cannot be fitted.
@@ -42,17 +42,17 @@ impl Behind {
         case: &Case,
         nominal: &Nominal,
         source: &dyn Scene,
-        light: &Light,
+        light: &LogLight,
         seed: u64,
-    ) -> Result<Behind, String> {
+    ) -> Result<ControlScene, String> {
         let Some(sample) = source.posterior_sample(case, nominal, seed)? else {
-            return Ok(Behind { light: light.clone(), frames: source.frames(case) });
+            return Ok(ControlScene { light: light.clone(), frames: source.frames(case) });
         };
         let of_sample = sample.light(case, light.step_ns);
         if source.is_known() {
-            return Ok(Behind { light: of_sample, frames: sample.frames(case) });
+            return Ok(ControlScene { light: of_sample, frames: sample.frames(case) });
         }
-        let rough = Behind::of(case, nominal, of_sample);
+        let rough = ControlScene::from_light(case, nominal, of_sample);
         let frames = with_noise(case, nominal, source, &rough.frames, seed.wrapping_add(1));
         let events = PixelEvents::new(std::iter::repeat_n(Vec::new(), case.extent.pixels()));
         let again = Case { frames, events, sensor: case.sensor.clone(), ..*case };
@@ -74,12 +74,12 @@ impl Behind {
                 rough.iter().zip(plain).zip(fitted).map(of).collect()
             });
         let log = log.collect();
-        Ok(Behind::of(case, nominal, Light { log, ..rough.light }))
+        Ok(ControlScene::from_light(case, nominal, LogLight { log, ..rough.light }))
     }
 }
 
-/// How much of a pattern is in values (least squares), 0 to 1; pairs that are not finite do not count. Noise
-/// in the pattern makes it less.
+/// Least-squares amplitude of a pattern in values, 0 to 1. Pairs that are not finite are left out. Noise in
+/// the pattern lowers it.
 fn share_of(pattern: impl Iterator<Item = f64>, values: impl Iterator<Item = f64>) -> f64 {
     let pairs = pattern.zip(values).filter(|(a, b)| a.is_finite() && b.is_finite());
     let (of_both, of_pattern) = pairs.fold((0.0, 0.0), |sum, (a, b)| (sum.0 + a * b, sum.1 + a * a));
@@ -112,22 +112,22 @@ pub(super) fn control(
     case: &Case,
     nominal: &Nominal,
     source: &dyn Scene,
-    behind: &Behind,
+    behind: &ControlScene,
     pixels: &[u32],
     block: usize,
     seed: u64,
 ) -> Result<Case, String> {
-    let sample = Sample::of_pixels(case, pixels.to_vec(), block as u32);
+    let sample = PixelSample::from_pixels(case, pixels.to_vec(), block as u32);
     let light = &behind.light;
-    let scene = Curves::from_pixels(sample.pixels.iter().map(|&pixel| {
+    let scene = LogLightCurves::from_pixels(sample.pixels.iter().map(|&pixel| {
         let log = &light.log[pixel as usize];
         let known = !log.is_empty();
         let t: Vec<i64> =
             if known { (0..log.len()).map(|k| light.instant(k)).collect() } else { vec![case.span.0] };
         (t, if known { log.iter().map(|u| f64::from(*u)).collect() } else { vec![0.0] }, known)
     }));
-    let conditions = Conditions { seed, frame_share: 0.0, frame_dn: 0.0, is_mixed: false };
-    let recorded = record(case, nominal, &sample, &scene, &Described::new(), &conditions)?;
+    let conditions = SimulatedConditions { seed, frame_share: 0.0, frame_dn: 0.0, is_mixed: false };
+    let recorded = record(case, nominal, &sample, &scene, &EffectParameters::new(), &conditions)?;
     let frames = with_noise(case, nominal, source, &behind.frames, seed);
     Ok(Case { frames, ..recorded })
 }
@@ -137,7 +137,7 @@ mod tests {
     use super::*;
     use crate::residual::evidence::EvidenceSetting;
     use crate::residual::ranking::evidence;
-    use crate::scenes::MadeUp;
+    use crate::scenes::SimulatedScene;
     use photocurrent_core::Extent;
     use photocurrent_scene::mosaic::{PatchSetting, scene};
     use photocurrent_scene::picture::PictureSetting;
@@ -156,7 +156,7 @@ mod tests {
     #[test]
     fn a_control_misses_its_thresholds_as_far_as_a_sharp_scene_does() {
         // A fan whose blades have edges sharper than the picture's grid, and nothing wrong with its sensor.
-        let fan = MadeUp::in_parts(7, 34, Extent { width: 64, height: 48 }, 0.12);
+        let fan = SimulatedScene::in_parts(7, 34, Extent { width: 64, height: 48 }, 0.12);
         assert_eq!(fan.sketch.name(), "fan");
         let case = fan.recording().unwrap();
         let nominal = case.nominal().unwrap();

@@ -1,22 +1,22 @@
-//! What the evidence of a scene for effects is, and how it is obtained ([`super::ranking`]).
+//! The evidence of a scene for effects; [`super::ranking`] computes it.
 
-use super::located::Located;
-use super::open::Open;
+use super::located::LocatedEffect;
+use super::open::CovariateCurve;
 pub use super::setting::EvidenceSetting;
 use crate::candidates::CANDIDATES;
-use crate::report::Estimate;
+use crate::report::SceneEstimate;
 use photocurrent_scene::block::Block;
 use serde::{Deserialize, Serialize};
 
 /// Kinds of scenes that decisions have a model for, by their names.
 pub const KINDS: [&str; 5] = ["picture", "given", "patches", "pixels", "joint"];
 
-/// One effect, as the events see it.
+/// Evidence of the events for one effect.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Ranked {
+pub struct RankedEffect {
     /// Number in [`CANDIDATES`].
     pub candidate: usize,
-    /// Its size, in effect sizes, less what the control finds.
+    /// Estimated effect size less the control's.
     pub effect_size: f64,
     /// Standard error, effect sizes.
     pub error: f64,
@@ -26,14 +26,13 @@ pub struct Ranked {
     pub gain: f64,
     /// Its standard error.
     pub gain_error: f64,
-    /// Fisher information of an event about the effect size: half of it times the effect size's square is
-    /// what a small one gains.
+    /// Fisher information per event about the effect size: a small size s gains half of it times s^2.
     #[serde(default)]
     pub information: f64,
     /// The same were the light known, of a scene that follows events; 0 of others.
     #[serde(default)]
     pub of_known_light: f64,
-    /// What an effect size of 1 adds to the parameter's nominal value, in the unit of its declaration.
+    /// Change of the parameter by an effect size of 1, in the unit of its declaration.
     #[serde(default)]
     pub unit: f64,
     /// The same of the control.
@@ -46,56 +45,55 @@ pub struct Ranked {
     pub of_first: Option<f64>,
     /// Median absolute residual over the threshold that it leaves.
     pub left: f64,
-    /// Distance of what it leaves from the control's noise (`EventNoise::distance`); 0 where it was not
-    /// evaluated exactly.
+    /// Distance of the residuals with the effect from the control's noise (`EventNoise::distance`); 0 where
+    /// it was not fitted exactly.
     #[serde(default)]
     pub ks: f64,
-    /// Is its size worth a word ([`crate::candidates::Candidate::is_material`])?
+    /// Is its size material ([`crate::candidates::Candidate::is_material`])?
     #[serde(default)]
     pub is_material: bool,
-    /// How far the free parameters of a known target then stand from where frames alone had them, shares of
-    /// their ranges.
+    /// Shift of the free parameters of a known target from the fit to frames alone, shares of their ranges.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub by: Vec<f64>,
     /// Where it is; of effects that were evaluated at their size.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub located: Option<Located>,
+    pub located: Option<LocatedEffect>,
 }
 
-impl Ranked {
+impl RankedEffect {
     /// Held-out gain beyond the control's, nats per event.
-    pub fn beyond(&self) -> f64 {
+    pub fn gain_beyond_control(&self) -> f64 {
         self.gain - self.control_gain
     }
 
     /// Best first.
-    pub(super) fn by_gain(a: &Ranked, b: &Ranked) -> std::cmp::Ordering {
-        b.beyond().total_cmp(&a.beyond()).then(a.candidate.cmp(&b.candidate))
+    pub(super) fn by_gain(a: &RankedEffect, b: &RankedEffect) -> std::cmp::Ordering {
+        b.gain_beyond_control().total_cmp(&a.gain_beyond_control()).then(a.candidate.cmp(&b.candidate))
     }
 
-    /// What it stands for among others where wider noise of events alone gains `noise` ([`Evidence::noise`]),
-    /// nats per event.
+    /// Gain for comparison with other effects, nats per event, where wider event noise alone gains `noise`
+    /// ([`SceneEvidence::noise`]).
     ///
-    /// Wider noise is held against the control's noise, and every other effect against the noise that its own
-    /// residuals have, which is wider already: what that alone gains is theirs as well. Noise by itself lets
-    /// the others gain almost nothing.
-    pub fn standing(&self, noise: f64) -> f64 {
+    /// The gain of wider noise is relative to the control's noise. Every other effect is fitted with its own,
+    /// wider noise, so the gain of wider noise alone is added to its own. Noise itself lets others gain
+    /// almost nothing.
+    pub fn gain_beyond_noise(&self, noise: f64) -> f64 {
         let is_noise = NOISE.contains(&CANDIDATES[self.candidate].id);
-        if is_noise || self.beyond() <= 0.0 {
-            self.beyond()
+        if is_noise || self.gain_beyond_control() <= 0.0 {
+            self.gain_beyond_control()
         } else {
-            self.beyond() + f64::max(noise - OVER_NOISE, 0.0)
+            self.gain_beyond_control() + f64::max(noise - OVER_NOISE, 0.0)
         }
     }
 }
 
-/// Effects that are wider noise of events and nothing else.
+/// Effects that only widen the event noise.
 pub(super) const NOISE: [&str; 2] = ["threshold_noise", "timestamp_jitter"];
 /// An effect that gains less than this on noisy events is their noise, nats per event.
 const OVER_NOISE: f64 = 0.03;
 
-impl Evidence {
-    /// How much of the recording the scene explains, a share: where it is small, the scene may err in that as
+impl SceneEvidence {
+    /// Share of the recording that the scene explains. Where it is small, the scene may be wrong in that as
     /// well.
     pub fn covered(&self) -> f64 {
         if self.follows_events() { self.explained } else { self.share }
@@ -107,13 +105,13 @@ impl Evidence {
     }
 }
 
-/// What the method found.
+/// Evidence of one scene for all effects.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Evidence {
-    /// The scene ([`photocurrent_scene::Scene::name`]).
+pub struct SceneEvidence {
+    /// The scene ([`photocurrent_scene::SampledScene::name`]).
     #[serde(default)]
     pub scene: String,
-    /// First and last instant that was looked at, ns; none where it is the whole recording.
+    /// First and last evaluated instant, ns; `None` where it is the whole recording.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub span_ns: Option<(i64, i64)>,
     /// The part of the array that was evaluated; none where it is all of it.
@@ -122,16 +120,16 @@ pub struct Evidence {
     /// Held-out log-likelihood of an event's time with the description, nats (of a density per second).
     #[serde(default)]
     pub nats_per_event: f64,
-    /// What the description leaves open, estimated before.
+    /// Parameters that the description states as ranges, estimated before.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub estimated: Vec<Estimate>,
-    /// Share of the events that counts.
+    pub estimated: Vec<SceneEstimate>,
+    /// Share of the events that are evaluated.
     pub share: f64,
     /// On scenes that follow events: share of the evaluated events that miss their threshold by no more than
     /// 2 % of it once the best effect is applied. 0 on other scenes.
     #[serde(default)]
     pub explained: f64,
-    /// Events looked at.
+    /// Number of evaluated events.
     pub events: usize,
     /// Median absolute residual over the threshold.
     pub median: f64,
@@ -151,29 +149,29 @@ pub struct Evidence {
     pub misfit: f64,
     /// Median absolute residual over the threshold with the first effect applied, and with both.
     pub left: [f64; 2],
-    /// What wider noise of events alone gains over the control's, with nothing applied and with
-    /// [`Evidence::first`], nats an event; 0 on a scene that was fitted to frames.
+    /// Gain of wider event noise alone over the control's, with nothing applied and with
+    /// [`SceneEvidence::first`], nats per event; 0 on a scene fitted to frames.
     #[serde(default)]
     pub noise: [f64; 2],
     /// Of effects with a size, best first.
-    pub ranked: Vec<Ranked>,
-    /// With [`Evidence::first`] applied, best first.
-    pub second: Vec<Ranked>,
+    pub ranked: Vec<RankedEffect>,
+    /// With [`SceneEvidence::first`] applied, best first.
+    pub second: Vec<RankedEffect>,
     /// The best of all, if any gains anything.
-    pub first: Option<Ranked>,
+    pub first: Option<RankedEffect>,
     /// Random effects with nothing applied, best first.
-    pub random: Vec<Ranked>,
-    /// And with [`Evidence::first`] applied.
-    pub random_second: Vec<Ranked>,
-    /// What no effect of the catalogue has, with nothing applied, best first.
-    pub open: Vec<Open>,
-    /// And with [`Evidence::first`] applied.
-    pub open_second: Vec<Open>,
+    pub random: Vec<RankedEffect>,
+    /// And with [`SceneEvidence::first`] applied.
+    pub random_second: Vec<RankedEffect>,
+    /// Curves of no effect of the catalogue, with nothing applied, best first.
+    pub open: Vec<CovariateCurve>,
+    /// And with [`SceneEvidence::first`] applied.
+    pub open_second: Vec<CovariateCurve>,
     /// On one moving picture of frames and events together, where this scene is one moving picture and leaves
     /// too much: it decides where it explains more.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub on_joint: Option<Box<Evidence>>,
+    pub on_joint: Option<Box<SceneEvidence>>,
     /// On the light of pixels, where this scene leaves too much: it decides where this one cannot.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub on_pixels: Option<Box<Evidence>>,
+    pub on_pixels: Option<Box<SceneEvidence>>,
 }

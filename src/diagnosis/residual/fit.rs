@@ -1,5 +1,5 @@
-//! Size and gain of an effect, by the residuals of events: Student-t noise with a threshold part and a part
-//! that grows with the slope.
+//! Fits size and gain of an effect to the residuals of events: Student-t noise with a threshold part and a
+//! part that grows with the slope.
 
 use photocurrent_scene::statistics::{MEDIAN_T, NU};
 use std::ops::Range;
@@ -102,10 +102,10 @@ pub(super) fn probability_t(z: f64) -> f64 {
     0.5 + (s / (1.0 + s * s) + libm::atan(s)) / std::f64::consts::PI
 }
 
-/// What stands with residuals: events first, then frame values (of a scene that does not hang on them), each
-/// kind with a noise of its own.
+/// Data of the residuals: events first, then frame values (of a scene known without them), each kind with its
+/// own noise.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Rows<'a> {
+pub(super) struct ResidualRows<'a> {
     /// How fast the voltage moves at events, ln/s; how bright frame values are, DN.
     pub slope: &'a [f64],
     /// Block of pixels; the last bit is the half that it belongs to.
@@ -114,30 +114,29 @@ pub(super) struct Rows<'a> {
     pub events: usize,
     /// Least noise, natural-log units.
     pub least: f64,
-    /// What a picture that is too soft leaves, and how much of it may be subtracted: fitted with everything.
-    pub soft: Option<Soft<'a>>,
-    /// What the free parameters of the scene change of each row, each per standard deviation that it has
-    /// before the recording: fitted with everything.
-    pub free: &'a [Column],
+    /// Column of a picture that is too soft, with the bounds of its size: fitted with everything.
+    pub soft: Option<SoftnessColumn<'a>>,
+    /// Columns of the free parameters of the scene, per prior standard deviation: fitted with everything.
+    pub free: &'a [EffectColumn],
 }
 
-/// What a picture that is too soft leaves of each row, per size of its own; sizes lie between `most` and 0.
+/// Residual of each row where the picture is too soft, per unit size; sizes lie between `most` and 0.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Soft<'a> {
+pub(super) struct SoftnessColumn<'a> {
     /// The column.
     pub column: &'a [f32],
-    /// What it changes of the logarithm of each slope.
+    /// Its change of each log slope.
     pub log_slope: &'a [f32],
     /// At most so much, below 0.
     pub most: f64,
 }
 
-/// An effect's column, and what it changes of the logarithm of each slope: both per size.
+/// An effect's column and its change of each log slope, both per unit size.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Column {
+pub(super) struct EffectColumn {
     /// Of residuals.
     pub of: Vec<f32>,
-    /// Of log slopes; nothing where it changes none.
+    /// Changes of log slopes; empty where it changes none.
     pub log_slope: Vec<f32>,
 }
 
@@ -146,37 +145,37 @@ const LEAST_DN: f64 = 0.3;
 
 /// Noise of both kinds.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Noise {
+pub(super) struct RowNoise {
     events: EventNoise,
     frames: EventNoise,
 }
 
-impl Noise {
+impl RowNoise {
     /// Of events.
-    pub(super) fn of_events(&self) -> EventNoise {
+    pub(super) fn event_noise(&self) -> EventNoise {
         self.events
     }
 }
 
 /// Chosen rows, rising, in the order of their slopes.
-struct Chosen {
+struct ChosenRows {
     rows: Vec<usize>,
     slopes: Vec<f64>,
     events: Vec<usize>,
     frames: Vec<usize>,
 }
 
-impl Rows<'_> {
-    fn choose(&self, residual: &[f64], use_row: impl Fn(usize) -> bool) -> Chosen {
+impl ResidualRows<'_> {
+    fn choose(&self, residual: &[f64], use_row: impl Fn(usize) -> bool) -> ChosenRows {
         let rows: Vec<usize> = (0..residual.len()).filter(|&k| use_row(k)).collect();
         let slopes: Vec<f64> = rows.iter().map(|&k| self.slope[k]).collect();
         let at = rows.partition_point(|&k| k < self.events);
         let (events, frames) = (by_slope(&slopes[..at]), by_slope(&slopes[at..]));
-        Chosen { rows, slopes, events, frames }
+        ChosenRows { rows, slopes, events, frames }
     }
 
     /// Of chosen rows, with their residuals.
-    fn noise(&self, chosen: &Chosen, residual: &[f64]) -> Noise {
+    fn noise(&self, chosen: &ChosenRows, residual: &[f64]) -> RowNoise {
         let at = chosen.events.len();
         let events = EventNoise::in_order(&residual[..at], &chosen.slopes[..at], &chosen.events, self.least);
         let frames = if chosen.frames.is_empty() {
@@ -184,15 +183,15 @@ impl Rows<'_> {
         } else {
             EventNoise::in_order(&residual[at..], &chosen.slopes[at..], &chosen.frames, LEAST_DN)
         };
-        Noise { events, frames }
+        RowNoise { events, frames }
     }
 
     #[inline]
-    fn sigma(&self, noise: &Noise, k: usize) -> f64 {
+    fn sigma(&self, noise: &RowNoise, k: usize) -> f64 {
         if k < self.events { noise.events.sigma(self.slope[k]) } else { noise.frames.sigma(self.slope[k]) }
     }
 
-    fn log(&self, noise: &Noise, k: usize, residual: f64) -> f64 {
+    fn log(&self, noise: &RowNoise, k: usize, residual: f64) -> f64 {
         let sigma = self.sigma(noise, k);
         log_t(residual / sigma) - libm::log(sigma)
     }
@@ -204,16 +203,16 @@ impl Rows<'_> {
 
 /// Columns, fitted together.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Fitted {
+pub(super) struct FittedColumns {
     /// Sizes, each in units of its column's own.
     pub size: Vec<f64>,
-    /// Standard errors: half of what two halves of the blocks differ by.
+    /// Standard errors: half the difference between two halves of the blocks.
     pub error: Vec<f64>,
     /// Held-out gain, nats per event.
     pub gain: f64,
     /// Standard error of the gain, by blocks.
     pub gain_error: f64,
-    /// Sizes of what is free of the scene ([`Rows::free`]) with them.
+    /// Sizes of the free parameters of the scene ([`ResidualRows::free`]).
     pub free: Vec<f64>,
     /// Of one column, Fisher information of an event about its size: a small size gains half of this times
     /// its square, nats an event.
@@ -222,34 +221,39 @@ pub(super) struct Fitted {
 
 /// Sizes and noise of a fit.
 #[derive(Clone)]
-struct Solved {
+struct SizesAndNoise {
     sizes: Vec<f64>,
-    /// Of [`Rows::free`].
+    /// Of [`ResidualRows::free`].
     free: Vec<f64>,
-    /// Of [`Soft`].
+    /// Of [`SoftnessColumn`].
     soft: f64,
-    noise: Noise,
+    noise: RowNoise,
 }
 
-/// Fits columns together by iteratively reweighted least squares; gives sizes and noise.
+/// Fits columns together by iteratively reweighted least squares; returns sizes and noise.
 pub(super) fn fit(
     residual: &[f64],
-    rows: &Rows<'_>,
+    rows: &ResidualRows<'_>,
     columns: &[&[f32]],
     use_row: impl Fn(usize) -> bool,
-) -> (Vec<f64>, Noise) {
+) -> (Vec<f64>, RowNoise) {
     let found = solve(residual, rows, columns, use_row);
     (found.sizes, found.noise)
 }
 
-fn solve(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], use_row: impl Fn(usize) -> bool) -> Solved {
+fn solve(
+    residual: &[f64],
+    rows: &ResidualRows<'_>,
+    columns: &[&[f32]],
+    use_row: impl Fn(usize) -> bool,
+) -> SizesAndNoise {
     let chosen = rows.choose(residual, use_row);
     let mut with: Vec<&[f32]> =
         columns.iter().copied().chain(rows.free.iter().map(|column| &column.of[..])).collect();
     let held = columns.len()..with.len();
-    let split = |mut sizes: Vec<f64>, soft: f64, noise: Noise| {
+    let split = |mut sizes: Vec<f64>, soft: f64, noise: RowNoise| {
         let free = sizes.split_off(held.start);
-        Solved { sizes, free, soft, noise }
+        SizesAndNoise { sizes, free, soft, noise }
     };
     let Some(soft) = rows.soft.filter(|soft| soft.most < 0.0) else {
         let (sizes, noise) = least_squares(residual, rows, &with, &held, &chosen);
@@ -263,25 +267,25 @@ fn solve(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], use_row: impl Fn
         return split(sizes, size, noise);
     }
     let size = size.clamp(soft.most, 0.0);
-    let (sizes, noise) = least_squares(&soft.off(residual, size), rows, &with, &held, &chosen);
+    let (sizes, noise) = least_squares(&soft.without_softness(residual, size), rows, &with, &held, &chosen);
     split(sizes, size, noise)
 }
 
-impl Soft<'_> {
-    /// Residuals with a size of it.
-    fn off(&self, residual: &[f64], size: f64) -> Vec<f64> {
+impl SoftnessColumn<'_> {
+    /// Residuals corrected for a size of it.
+    fn without_softness(&self, residual: &[f64], size: f64) -> Vec<f64> {
         residual.iter().zip(self.column).map(|(r, column)| r + size * f64::from(*column)).collect()
     }
 }
 
-/// Residuals without what a picture that is too soft leaves, and without what free parameters of the scene
-/// explain.
-pub(super) fn without_softness(residual: &[f64], rows: &Rows<'_>) -> Vec<f64> {
+/// Residuals corrected for a picture that is too soft and for the free parameters of the scene.
+pub(super) fn without_softness(residual: &[f64], rows: &ResidualRows<'_>) -> Vec<f64> {
     if rows.soft.is_none() && rows.free.is_empty() {
         return residual.to_vec();
     }
     let found = solve(residual, rows, &[], |_| true);
-    let mut left = rows.soft.map_or_else(|| residual.to_vec(), |soft| soft.off(residual, found.soft));
+    let mut left =
+        rows.soft.map_or_else(|| residual.to_vec(), |soft| soft.without_softness(residual, found.soft));
     for (column, size) in rows.free.iter().zip(&found.free) {
         left.iter_mut().zip(&column.of).for_each(|(left, column)| *left += size * f64::from(*column));
     }
@@ -291,11 +295,11 @@ pub(super) fn without_softness(residual: &[f64], rows: &Rows<'_>) -> Vec<f64> {
 /// `held`: columns whose sizes have a standard deviation of 1 beforehand.
 fn least_squares(
     residual: &[f64],
-    rows: &Rows<'_>,
+    rows: &ResidualRows<'_>,
     columns: &[&[f32]],
     held: &Range<usize>,
-    chosen: &Chosen,
-) -> (Vec<f64>, Noise) {
+    chosen: &ChosenRows,
+) -> (Vec<f64>, RowNoise) {
     let mut sizes = vec![0.0; columns.len()];
     let left = |sizes: &[f64]| -> Vec<f64> {
         chosen
@@ -352,17 +356,17 @@ fn least_squares(
 /// Residuals with the logarithm of the slope at each event: the density of an event's time is that of its
 /// residual times the slope. Frame values have none.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Rest<'a> {
+pub(super) struct ResidualsAndSlopes<'a> {
     /// Residuals.
     pub residual: &'a [f64],
     /// Log slopes of the events.
     pub log_slope: &'a [f32],
-    /// What else is known of them.
-    pub rows: &'a Rows<'a>,
+    /// Their rows.
+    pub rows: &'a ResidualRows<'a>,
 }
 
-impl Rest<'_> {
-    fn log(&self, found: &Solved, k: usize) -> f64 {
+impl ResidualsAndSlopes<'_> {
+    fn log(&self, found: &SizesAndNoise, k: usize) -> f64 {
         let rows = self.rows;
         let soft = rows.soft.map_or((0.0, 0.0), |soft| {
             (f64::from(soft.column[k]), soft.log_slope.get(k).map_or(0.0, |log| f64::from(*log)))
@@ -378,9 +382,10 @@ impl Rest<'_> {
     }
 }
 
-/// Held-out gain of what is `left` over `before`, nats per event, and its standard error by blocks: noise is
-/// fitted to the other half of the blocks. Their rows differ by what is free of the scene alone.
-pub(super) fn gain_of(before: Rest<'_>, left: Rest<'_>) -> (f64, f64) {
+/// Held-out gain of the residuals `left` over `before`, nats per event, and its standard error by blocks.
+/// Noise is fitted to the other half of the blocks. Their rows differ by the free parameters of the scene
+/// alone.
+pub(super) fn gain_of(before: ResidualsAndSlopes<'_>, left: ResidualsAndSlopes<'_>) -> (f64, f64) {
     let rows = left.rows;
     let blocks = rows.blocks();
     let (mut gains, mut counts) = (vec![0.0; blocks], vec![0.0; blocks]);
@@ -395,17 +400,16 @@ pub(super) fn gain_of(before: Rest<'_>, left: Rest<'_>) -> (f64, f64) {
     mean_of_blocks(&gains, &counts)
 }
 
-/// What each row gains by what is `left` over `before`, nats, both under the noise (and with what a picture
-/// that is too soft leaves) that is found with what is `left`: a row that is not changed gains nothing. Each
-/// with what is free of the scene where it fits best.
-pub(super) fn gains(before: Rest<'_>, left: Rest<'_>) -> Vec<f64> {
+/// Gain of each row by the residuals `left` over `before`, nats. Both use the noise (and softness) fitted to
+/// `left`, so unchanged rows gain 0. Each has its own best free parameters of the scene.
+pub(super) fn row_gains(before: ResidualsAndSlopes<'_>, left: ResidualsAndSlopes<'_>) -> Vec<f64> {
     let with = solve(left.residual, left.rows, &[], |_| true);
     let free = if left.rows.free.is_empty() {
         Vec::new()
     } else {
         solve(before.residual, before.rows, &[], |_| true).free
     };
-    let plain = Solved { sizes: Vec::new(), free, ..with.clone() };
+    let plain = SizesAndNoise { sizes: Vec::new(), free, ..with.clone() };
     (0..before.residual.len()).map(|k| left.log(&with, k) - before.log(&plain, k)).collect()
 }
 
@@ -418,24 +422,24 @@ fn mean_of_blocks(gains: &[f64], counts: &[f64]) -> (f64, f64) {
 }
 
 /// Residuals with no column, fitted on either half of the blocks.
-pub(super) struct Plain<'a> {
+pub(super) struct NullFit<'a> {
     residual: &'a [f64],
-    rows: Rows<'a>,
-    halves: [Solved; 2],
+    rows: ResidualRows<'a>,
+    halves: [SizesAndNoise; 2],
 }
 
-impl<'a> Plain<'a> {
+impl<'a> NullFit<'a> {
     /// Of residuals.
-    pub(super) fn new(residual: &'a [f64], rows: Rows<'a>) -> Plain<'a> {
+    pub(super) fn new(residual: &'a [f64], rows: ResidualRows<'a>) -> NullFit<'a> {
         let halves = [0_u32, 1].map(|half| solve(residual, &rows, &[], |k| rows.block[k] % 2 == half));
-        Plain { residual, rows, halves }
+        NullFit { residual, rows, halves }
     }
 }
 
-impl Plain<'_> {
+impl NullFit<'_> {
     /// Held-out log-likelihood of an event's time, nats, of a density per second. `log_slope`: of the events.
     pub(super) fn nats_per_event(&self, log_slope: &[f32]) -> f64 {
-        let rest = Rest { residual: self.residual, log_slope, rows: &self.rows };
+        let rest = ResidualsAndSlopes { residual: self.residual, log_slope, rows: &self.rows };
         let events = self.rows.events.min(self.residual.len());
         let sum: f64 =
             (0..events).map(|k| rest.log(&self.halves[1 - (self.rows.block[k] % 2) as usize], k)).sum();
@@ -444,13 +448,13 @@ impl Plain<'_> {
 
     /// Fisher information of an event about the size of a column, under Student's t: that which free
     /// parameters of the scene cannot have.
-    pub(super) fn information(&self, column: &Column) -> f64 {
+    pub(super) fn information(&self, column: &EffectColumn) -> f64 {
         let events = self.rows.events.min(self.residual.len());
         let n = self.rows.free.len();
         let noise = &self.halves[0].noise;
         let (mut normal, mut right, mut own) =
             (nalgebra::DMatrix::<f64>::identity(n, n), nalgebra::DVector::<f64>::zeros(n), 0.0);
-        // Frame values say what the parameters are; what they say of the column itself is not an event's.
+        // Frame values determine the parameters; their information on the column itself is not an event's.
         for k in 0..if n > 0 { self.residual.len() } else { events } {
             let weight = (NU + 1.0) / (NU + 3.0) / (self.rows.sigma(noise, k) * self.rows.sigma(noise, k));
             let of = f64::from(column.of[k]);
@@ -468,20 +472,20 @@ impl Plain<'_> {
 
 /// Gain of columns over none, on the half of the blocks that sizes and noise were not fitted to, nats an
 /// event; size from all rows.
-pub(super) fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
+pub(super) fn heldout(plain: &NullFit<'_>, columns: &[&EffectColumn]) -> FittedColumns {
     let whole = plain;
-    let Plain { residual, rows, halves: plain } = plain;
+    let NullFit { residual, rows, halves: plain } = plain;
     let blocks = rows.blocks();
     let mut gains = vec![0.0; blocks];
     let mut counts = vec![0.0; blocks];
     let mut halves = [Vec::new(), Vec::new()];
     let of: Vec<&[f32]> = columns.iter().map(|column| &column.of[..]).collect();
-    let before = Rest { residual, log_slope: &[], rows };
+    let before = ResidualsAndSlopes { residual, log_slope: &[], rows };
     for half in 0..2_u32 {
         let train = |k: usize| rows.block[k] % 2 == half;
         let with = solve(residual, rows, &of, train);
         let plain = &plain[half as usize];
-        let sum = |of: &dyn Fn(&Column) -> f64| {
+        let sum = |of: &dyn Fn(&EffectColumn) -> f64| {
             columns.iter().zip(&with.sizes).map(|(column, size)| of(column) * size).sum::<f64>()
         };
         let mut left = residual.to_vec();
@@ -489,18 +493,18 @@ pub(super) fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
         let steeper: Vec<f32> = (0..rows.events)
             .map(|k| sum(&|column| column.log_slope.get(k).map_or(0.0, |log| f64::from(*log))) as f32)
             .collect();
-        let rest = Rest { residual: &left, log_slope: &steeper, rows };
+        let rest = ResidualsAndSlopes { residual: &left, log_slope: &steeper, rows };
         for k in (0..residual.len()).filter(|&k| !train(k)) {
             gains[rows.block[k] as usize] += rest.log(&with, k) - before.log(plain, k);
             counts[rows.block[k] as usize] += f64::from(u8::from(k < rows.events));
         }
         halves[half as usize] = with.sizes;
     }
-    let Solved { sizes: size, free, .. } = solve(residual, rows, &of, |_| true);
+    let SizesAndNoise { sizes: size, free, .. } = solve(residual, rows, &of, |_| true);
     let (gain, gain_error) = mean_of_blocks(&gains, &counts);
     let error = halves[0].iter().zip(&halves[1]).map(|(a, b)| 0.5 * (a - b).abs()).collect();
     let information = columns.first().map_or(0.0, |column| whole.information(column));
-    Fitted { size, error, gain, gain_error, free, information }
+    FittedColumns { size, error, gain, gain_error, free, information }
 }
 
 #[cfg(test)]
@@ -521,8 +525,8 @@ mod tests {
         (slope, block, noise, [soft, alike])
     }
 
-    fn rows<'a>(slope: &'a [f64], block: &'a [u32], soft: Option<Soft<'a>>) -> Rows<'a> {
-        Rows { slope, block, events: EVENTS, least: 1e-4, soft, free: &[] }
+    fn rows<'a>(slope: &'a [f64], block: &'a [u32], soft: Option<SoftnessColumn<'a>>) -> ResidualRows<'a> {
+        ResidualRows { slope, block, events: EVENTS, least: 1e-4, soft, free: &[] }
     }
 
     #[test]
@@ -531,10 +535,10 @@ mod tests {
         let flat = vec![0.0; EVENTS];
         let residual: Vec<f64> =
             noise.iter().zip(&soft).map(|(noise, soft)| noise + 0.05 * f64::from(*soft)).collect();
-        let column = Column { of: alike, log_slope: Vec::new() };
+        let column = EffectColumn { of: alike, log_slope: Vec::new() };
         let gain = |most: f64| {
-            let soft = Soft { column: &soft, log_slope: &flat, most };
-            heldout(&Plain::new(&residual, rows(&slope, &block, Some(soft))), &[&column])
+            let soft = SoftnessColumn { column: &soft, log_slope: &flat, most };
+            heldout(&NullFit::new(&residual, rows(&slope, &block, Some(soft))), &[&column])
         };
         let (without, with, half) = (gain(0.0), gain(-0.2), gain(-0.02));
         assert!(without.gain > 0.3, "{without:?}");
@@ -545,7 +549,7 @@ mod tests {
         );
         let left = without_softness(
             &residual,
-            &rows(&slope, &block, Some(Soft { column: &soft, log_slope: &flat, most: -0.2 })),
+            &rows(&slope, &block, Some(SoftnessColumn { column: &soft, log_slope: &flat, most: -0.2 })),
         );
         left.iter().zip(&noise).for_each(|(left, noise)| assert!((left - noise).abs() < 0.01));
     }
@@ -555,11 +559,11 @@ mod tests {
         let (slope, block, noise, [free, alike]) = problem();
         let residual: Vec<f64> =
             noise.iter().zip(&free).map(|(noise, free)| noise + 0.05 * f64::from(*free)).collect();
-        let columns = [Column { of: free, log_slope: Vec::new() }];
-        let column = Column { of: alike, log_slope: Vec::new() };
-        let without = heldout(&Plain::new(&residual, rows(&slope, &block, None)), &[&column]);
+        let columns = [EffectColumn { of: free, log_slope: Vec::new() }];
+        let column = EffectColumn { of: alike, log_slope: Vec::new() };
+        let without = heldout(&NullFit::new(&residual, rows(&slope, &block, None)), &[&column]);
         let with = heldout(
-            &Plain::new(&residual, Rows { free: &columns, ..rows(&slope, &block, None) }),
+            &NullFit::new(&residual, ResidualRows { free: &columns, ..rows(&slope, &block, None) }),
             &[&column],
         );
         assert!(without.gain > 0.3, "{without:?}");
@@ -567,12 +571,15 @@ mod tests {
             with.gain.abs() < 0.01 && with.size[0].abs() < 0.003 && (with.free[0] + 0.05).abs() < 0.003,
             "{with:?}"
         );
-        // Of the column only what is not like the parameter's says what its size is: 0.36 of its square.
-        let plain = heldout(&Plain::new(&noise, rows(&slope, &block, None)), &[&column]);
-        let share =
-            heldout(&Plain::new(&noise, Rows { free: &columns, ..rows(&slope, &block, None) }), &[&column])
-                .information
-                / plain.information;
+        // Only the part of the column that is orthogonal to the parameter's determines its size: 0.36 of its
+        // square.
+        let plain = heldout(&NullFit::new(&noise, rows(&slope, &block, None)), &[&column]);
+        let share = heldout(
+            &NullFit::new(&noise, ResidualRows { free: &columns, ..rows(&slope, &block, None) }),
+            &[&column],
+        )
+        .information
+            / plain.information;
         assert!((share - 0.36).abs() < 0.03, "{share}");
     }
 
@@ -582,7 +589,7 @@ mod tests {
         let flat = vec![0.0; EVENTS];
         let residual: Vec<f64> =
             noise.iter().zip(&soft).map(|(noise, soft)| noise - 0.05 * f64::from(*soft)).collect();
-        let rows = rows(&slope, &block, Some(Soft { column: &soft, log_slope: &flat, most: -0.2 }));
+        let rows = rows(&slope, &block, Some(SoftnessColumn { column: &soft, log_slope: &flat, most: -0.2 }));
         assert_eq!(without_softness(&residual, &rows), residual);
     }
 
@@ -595,18 +602,18 @@ mod tests {
         let log = |by: f64| -> Vec<f32> { slope.iter().map(|slope| libm::log(by * slope) as f32).collect() };
         let half: Vec<f64> = noise.iter().map(|noise| 0.5 * noise).collect();
         let (full_log, half_log) = (log(1.0), log(0.5));
-        let rest = |residual, log_slope| Rest { residual, log_slope, rows: &rows };
+        let rest = |residual, log_slope| ResidualsAndSlopes { residual, log_slope, rows: &rows };
         let before = rest(&noise[..], &full_log[..]);
         let (gain, _) = gain_of(before, rest(&half, &half_log));
         assert!(gain.abs() < 1e-4, "{gain}");
         let (gain, _) = gain_of(before, rest(&noise, &half_log));
         assert!((gain + libm::log(2.0)).abs() < 1e-4, "{gain}");
         // To first order the same: a column that takes half of the residuals, and half of the slopes with it.
-        let column = Column {
+        let column = EffectColumn {
             of: noise.iter().map(|noise| -0.5 * *noise as f32).collect(),
             log_slope: vec![-0.5; EVENTS],
         };
-        let found = heldout(&Plain::new(&noise, rows), &[&column]);
+        let found = heldout(&NullFit::new(&noise, rows), &[&column]);
         assert!((found.size[0] - 2.0).abs() < 0.1, "{found:?}");
     }
 }

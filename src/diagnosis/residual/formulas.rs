@@ -1,27 +1,26 @@
-//! Which formula a curve over a covariate follows.
+//! Selects a formula for a curve over a covariate.
 //!
-//! The bins of a curve ([`super::open`]) take any shape. A formula has a form and two or three numbers, or
-//! two forms; it is fitted to the same residuals, judged on the blocks that it was not fitted to, and
-//! compared by a criterion like that of Schwarz: twice its held-out log-likelihood, less the logarithm of
-//! the number of events for each number that was fitted. Events of one place of the scene err alike, so
-//! log-likelihoods count as if standard errors were three times as large.
+//! The bins of a curve ([`super::open`]) take any shape. A formula has one or two forms and two or three
+//! parameters. It is fitted to the same residuals, evaluated on held-out blocks, and compared by a criterion
+//! like that of Schwarz: twice the held-out log-likelihood, less the log of the number of events per fitted
+//! parameter. Events at one place of the scene have common errors, so log-likelihoods count as if standard
+//! errors were three times as large.
 //!
 //! Source: Schwarz, Estimating the dimension of a model (Annals of Statistics 6, 1978).
 
-use super::Residuals;
-use super::fit::{Column, Fitted, Plain, Rows, heldout};
-use super::laid::Laid;
-use super::open::{Factors, moving};
+use super::EventResiduals;
+use super::fit::{EffectColumn, FittedColumns, NullFit, ResidualRows, heldout};
+use super::laid::CovariateColumns;
+use super::open::{SecondCurveFactors, moving};
 use super::setting::ERRORS;
 use crate::dependence::Dependence;
-use crate::formula::{Formula, applies, tried};
+use crate::formula::{Formula, applies, shape_values};
 use photocurrent_sensor::form::{Form, Term};
 
 /// Formulas whose criterion is within this of the best one's are reported (Kass and Raftery, Bayes factors,
 /// 1995: beyond 6 is strong).
 const NEAR: f64 = 6.0;
-/// A formula explains a curve that gains no more than so many times as much: otherwise it is a curve
-/// without a formula.
+/// Largest ratio of a curve's gain to that of its formula; above it the curve is reported without a formula.
 const MOST_BETTER: f64 = 1.25;
 
 /// A sum of two forms gains so many times as much as a curve at the most: the bins of a curve are coarse.
@@ -30,15 +29,15 @@ const LEFT_OVER: f64 = 1.05;
 
 /// Formulas of a curve, best first; none of a class, and where none explains the curve.
 pub(crate) fn formulas(
-    events: &Residuals,
+    events: &EventResiduals,
     residual: &[f64],
     block: &[u32],
-    laid: &[Laid],
+    laid: &[CovariateColumns],
     curve: &Dependence,
     threshold: f64,
     least: f64,
 ) -> Vec<Formula> {
-    let factors = Factors::of(laid, curve);
+    let factors = SecondCurveFactors::from_curve(laid, curve);
     let Some(laid) = laid.iter().find(|laid| laid.covariate == curve.covariate) else { return Vec::new() };
     if curve.covariate.is_class() {
         return Vec::new();
@@ -51,13 +50,15 @@ pub(crate) fn formulas(
     if high <= low {
         return Vec::new();
     }
-    let rows =
-        Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] };
-    let plain = Plain::new(residual, rows);
-    let column = |of: &dyn Fn(f64) -> f64| -> Column {
+    let slope = &events.slope_per_s[..];
+    let rows = ResidualRows { slope, block, events: residual.len(), least, soft: None, free: &[] };
+    let plain = NullFit::new(residual, rows);
+    let column = |of: &dyn Fn(f64) -> f64| -> EffectColumn {
         let part = |x: f64| if x.is_finite() { of(x) } else { 0.0 };
         let here = |k: usize| factors.at(k) * part(laid.at[k]);
-        moving(events, curve.moved, threshold, here, |k| factors.before(k) * part(laid.before[k]))
+        moving(events, curve.moved, threshold, here, |k| {
+            factors.factor_at_previous_event(k) * part(laid.before[k])
+        })
     };
     let whole = column(&|_| 1.0);
     let alone = heldout(&plain, &[&whole]).gain.max(0.0);
@@ -71,9 +72,9 @@ pub(crate) fn formulas(
         if !parts.iter().all(|of| known.iter().all(|x| of(*x).is_finite())) {
             return None;
         }
-        let columns: Vec<Column> = parts.iter().map(|of| column(of)).collect();
-        let columns: Vec<&Column> = std::iter::once(&whole).chain(&columns).collect();
-        let Fitted { size, error, gain, .. } = heldout(&plain, &columns);
+        let columns: Vec<EffectColumn> = parts.iter().map(|of| column(of)).collect();
+        let columns: Vec<&EffectColumn> = std::iter::once(&whole).chain(&columns).collect();
+        let FittedColumns { size, error, gain, .. } = heldout(&plain, &columns);
         let amplitudes = size[1..].to_vec();
         let mean = |of: &dyn Fn(f64) -> f64| known.iter().map(|x| of(*x)).sum::<f64>() / known.len() as f64;
         // Only with the scene, or where something multiplies it, is known what is the same everywhere.
@@ -91,7 +92,7 @@ pub(crate) fn formulas(
     // The best shape of a form, in addition to a term that stands.
     let best_of = |form: Form, other: Option<Term>| {
         let with = |shape: f64| -> Vec<Term> { other.into_iter().chain([Term { form, shape }]).collect() };
-        let tried = tried(form, low, high).into_iter().filter_map(|shape| fitted(&with(shape)));
+        let tried = shape_values(form, low, high).into_iter().filter_map(|shape| fitted(&with(shape)));
         tried.max_by(|a, b| a.1.total_cmp(&b.1))
     };
     let forms: Vec<Form> =
@@ -101,14 +102,14 @@ pub(crate) fn formulas(
     let most = found.iter().map(|(one, _)| one.gain).fold(0.0, f64::max);
     let room = 2.0 * (LEFT_OVER * curve.nats_per_event - most) * known.len() as f64 / (ERRORS * ERRORS);
     let singles = if room > libm::log(known.len() as f64) - NEAR { &found[..] } else { &[] };
-    let mut sums = sums(singles, &forms, best_of);
+    let mut sums = two_form_sums(singles, &forms, best_of);
     found.append(&mut sums);
-    near(found, curve)
+    near_best_formulas(found, curve)
 }
 
-/// Sums of two forms, of which the first are given with their best shapes. `best_of` a form in addition to a
-/// term that stands.
-fn sums(
+/// Sums of two forms; the first ones have their best shapes. `best_of` fits a form in addition to a fixed
+/// term.
+fn two_form_sums(
     singles: &[(Formula, f64)],
     forms: &[Form],
     best_of: impl Fn(Form, Option<Term>) -> Option<(Formula, f64)>,
@@ -126,8 +127,8 @@ fn sums(
     sums
 }
 
-/// Those near the best one that explain the curve, best first, with their probabilities.
-fn near(mut found: Vec<(Formula, f64)>, curve: &Dependence) -> Vec<Formula> {
+/// Formulas near the best one that explain the curve, best first, with their probabilities.
+fn near_best_formulas(mut found: Vec<(Formula, f64)>, curve: &Dependence) -> Vec<Formula> {
     found.sort_by(|a, b| b.1.total_cmp(&a.1));
     let Some(best) = found.first().map(|(_, criterion)| *criterion) else { return Vec::new() };
     found.retain(|(formula, criterion)| {
@@ -141,7 +142,7 @@ fn near(mut found: Vec<(Formula, f64)>, curve: &Dependence) -> Vec<Formula> {
         .collect()
 }
 
-/// Does a form come behind the first of these?
+/// Is a form later in the list than the first of these?
 fn is_later(found: &[(Formula, f64)], form: Form) -> bool {
     found.iter().skip(1).any(|(other, _)| other.form == form)
 }
@@ -152,7 +153,7 @@ mod tests {
     use super::super::open::tests::{events, laid};
     use super::*;
     use crate::covariates::Covariate;
-    use crate::dependence::Moved;
+    use crate::dependence::AffectedQuantity;
     use photocurrent_core::random::Random;
 
     /// Formulas of the curve that is found first in residuals to which `change` of the variable was added,
@@ -176,7 +177,7 @@ mod tests {
         let laid = [laid(x, covariate)];
         let curves = dependences(&events, &residual, &block, &laid, 0.2, 1e-4);
         let curve = Dependence { is_with_scene, ..curves[0].dependence.clone() };
-        assert_eq!(curve.moved, Moved::Threshold);
+        assert_eq!(curve.moved, AffectedQuantity::Threshold);
         formulas(&events, &residual, &block, &laid, &curve, 0.2, 1e-4)
     }
 

@@ -1,13 +1,13 @@
-//! Covariates over events: their values, and the bins that these are sorted into.
+//! Covariates of events: their values, and bins of these.
 
-use super::Residuals;
-use crate::covariates::{Covariate, Surroundings};
-use crate::rhythm::Rhythm;
+use super::EventResiduals;
+use crate::covariates::{Covariate, CovariateSource};
+use crate::rhythm::ResidualRhythm;
 
 /// Values of a covariate at every event and at the event before it; NaN where it has none.
 #[derive(Clone, Debug)]
-pub(crate) struct Laid {
-    /// What.
+pub(crate) struct CovariateColumns {
+    /// The covariate.
     pub covariate: Covariate,
     /// Of a rhythm, its period, ns.
     pub period_ns: Option<i64>,
@@ -17,12 +17,12 @@ pub(crate) struct Laid {
     pub(super) before: Vec<f64>,
 }
 
-/// Lays every covariate over the events; of a rhythm its phase.
-pub(super) fn lay(
-    events: &Residuals,
-    surroundings: &mut Surroundings<'_>,
-    rhythm: Option<Rhythm>,
-) -> Vec<Laid> {
+/// Computes every covariate of the events; of a rhythm its phase.
+pub(super) fn covariate_columns(
+    events: &EventResiduals,
+    surroundings: &mut CovariateSource<'_>,
+    rhythm: Option<ResidualRhythm>,
+) -> Vec<CovariateColumns> {
     let period_ns = rhythm.map(|rhythm| rhythm.period_ns);
     let is_at_reset = |covariate| covariate == Covariate::AcPhase && rhythm.is_some_and(|of| of.is_at_reset);
     surroundings.set_period(period_ns);
@@ -40,25 +40,30 @@ pub(super) fn lay(
                 true => before.clone(),
                 false => (0..before.len()).map(|k| value(k, events.t_ns[k], events.polarity[k])).collect(),
             };
-            Laid { covariate, period_ns: period_ns.filter(|_| covariate == Covariate::AcPhase), at, before }
+            CovariateColumns {
+                covariate,
+                period_ns: period_ns.filter(|_| covariate == Covariate::AcPhase),
+                at,
+                before,
+            }
         })
         .collect()
 }
 
 /// Values sorted into bins.
-pub(super) struct Bins {
+pub(super) struct CovariateBins {
     edges: Vec<f64>,
     /// Mean value of each bin.
     pub at: Vec<f64>,
-    /// The bin of each value; none of what is not finite.
+    /// The bin of each value; `None` for values that are not finite.
     pub of: Vec<Option<u32>>,
     pub is_class: bool,
 }
 
-impl Bins {
-    /// At most so many bins with about as many values each, and no fewer than `least` of them; values of a
-    /// class are bins of their own.
-    pub(super) fn new(values: &[f64], most: usize, least: usize, is_class: bool) -> Bins {
+impl CovariateBins {
+    /// At most `most` bins with about equal numbers of values, at least `least` each. Class values have bins
+    /// of their own.
+    pub(super) fn new(values: &[f64], most: usize, least: usize, is_class: bool) -> CovariateBins {
         let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
         sorted.sort_by(f64::total_cmp);
         let count = most.min(sorted.len() / least.max(1));
@@ -72,12 +77,12 @@ impl Bins {
         edges.dedup();
         // A bin below the first value is none.
         edges.retain(|edge| sorted.first().is_some_and(|first| edge > first));
-        Bins::between(values, edges, is_class)
+        CovariateBins::from_edges(values, edges, is_class)
     }
 
-    /// With these first values of all bins but the lowest, rising.
-    pub(super) fn between(values: &[f64], edges: Vec<f64>, is_class: bool) -> Bins {
-        let mut bins = Bins { edges, at: Vec::new(), of: Vec::new(), is_class };
+    /// From the first values of all bins but the lowest, rising.
+    pub(super) fn from_edges(values: &[f64], edges: Vec<f64>, is_class: bool) -> CovariateBins {
+        let mut bins = CovariateBins { edges, at: Vec::new(), of: Vec::new(), is_class };
         bins.of = values.iter().map(|value| bins.bin(*value)).collect();
         let mut sums = vec![(0.0, 0.0); bins.edges.len() + 1];
         for (bin, value) in bins.of.iter().zip(values).filter_map(|(bin, value)| Some(((*bin)?, value))) {
@@ -88,7 +93,7 @@ impl Bins {
         bins
     }
 
-    /// The bin of a value; none of what is not finite.
+    /// The bin of a value; `None` where it is not finite.
     pub(super) fn bin(&self, value: f64) -> Option<u32> {
         value.is_finite().then(|| self.edges.partition_point(|edge| *edge <= value) as u32)
     }
@@ -108,7 +113,7 @@ mod tests {
         let (case, period_ns) = (testing::case_of(25, &Default::default()), 3.7e6);
         for is_at_reset in [false, true] {
             let mut random = Random::new(2, &[]);
-            let mut events = Residuals::default();
+            let mut events = EventResiduals::default();
             for _ in 0..3000 {
                 let t_ns = 12_000_000 + (random.uniform() * 180e6) as i64;
                 let since_ns = (1e6 + random.uniform() * 11e6) as i64;
@@ -126,8 +131,9 @@ mod tests {
             assert_eq!(rhythm.is_at_reset, is_at_reset);
             assert!((rhythm.period_ns as f64 / period_ns - 1.0).abs() < 0.01, "{rhythm:?}");
             let light = Box::new(|_: usize, _: i64| None);
-            let mut surroundings = Surroundings::of(&case, light, case.extent.pixels(), (0.0, 0.0));
-            let laid = lay(&events, &mut surroundings, Some(rhythm));
+            let mut surroundings =
+                CovariateSource::from_light(&case, light, case.extent.pixels(), (0.0, 0.0));
+            let laid = covariate_columns(&events, &mut surroundings, Some(rhythm));
             let phase = laid.iter().find(|one| one.covariate == Covariate::AcPhase).expect("its phase");
             assert!(phase.at.iter().all(|at| (0.0..1.0).contains(at)));
             assert_eq!(phase.at == phase.before, is_at_reset);

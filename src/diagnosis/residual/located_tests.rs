@@ -2,11 +2,11 @@
 //! everywhere.
 
 use super::*;
-use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
-use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked};
+use crate::candidates::{CANDIDATES, Candidate, EffectScales, Trial};
+use crate::residual::evidence::{EvidenceSetting, RankedEffect, SceneEvidence};
 use crate::residual::free::on_picture;
 use crate::residual::ranking::evidence;
-use crate::scenes::MadeUp;
+use crate::scenes::SimulatedScene;
 use crate::testing;
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
@@ -17,8 +17,8 @@ use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::picture::PictureSetting;
 
 /// A texture before a sensor that is described as it is.
-fn texture() -> (MadeUp, Case, Nominal) {
-    let scene = MadeUp::new(3, 1, Extent { width: 48, height: 40 }, 0.15);
+fn texture() -> (SimulatedScene, Case, Nominal) {
+    let scene = SimulatedScene::new(3, 1, Extent { width: 48, height: 40 }, 0.15);
     let case = scene.recording().unwrap();
     let nominal = case.nominal().unwrap();
     (scene, case, nominal)
@@ -26,7 +26,7 @@ fn texture() -> (MadeUp, Case, Nominal) {
 
 /// The same scene recorded with an effect at an effect size.
 fn with_effect(
-    scene: &MadeUp,
+    scene: &SimulatedScene,
     plain: &Case,
     nominal: &Nominal,
     id: &str,
@@ -35,16 +35,21 @@ fn with_effect(
 ) -> Case {
     let candidate = Candidate::find(id, parameter).unwrap();
     scene
-        .recording_through(Some(&Trial::with(nominal, candidate, effect_size, &Scales::of(plain, nominal))))
+        .recording_through(Some(&Trial::nominal_with_effect(
+            nominal,
+            candidate,
+            effect_size,
+            &EffectScales::from_case(plain, nominal),
+        )))
         .unwrap()
 }
 
-/// Events of one recording where `is_other` says so (pixel, time in ns), and of another elsewhere.
-fn mixed(plain: &Case, other: &Case, is_other: impl Fn(usize, i64) -> bool) -> Case {
+/// Events of one recording where `is_other` is true (pixel, time in ns), and of another elsewhere.
+fn mix_cases(plain: &Case, other: &Case, is_other: impl Fn(usize, i64) -> bool) -> Case {
     let of = |pixel: usize| -> Vec<PixelEvent> {
         let from = |case: &Case, wanted: bool| {
             case.events
-                .of(pixel)
+                .of_pixel(pixel)
                 .iter()
                 .filter(|event| is_other(pixel, event.t_in_ns) == wanted)
                 .copied()
@@ -55,13 +60,13 @@ fn mixed(plain: &Case, other: &Case, is_other: impl Fn(usize, i64) -> bool) -> C
     Case { events: PixelEvents::new((0..plain.events.pixels()).map(of)), ..plain.clone() }
 }
 
-/// What events say on the light as it was.
-fn found(scene: &MadeUp, case: &Case, nominal: &Nominal) -> Evidence {
+/// Evidence of the events on the true light.
+fn evidence_on_known_light(scene: &SimulatedScene, case: &Case, nominal: &Nominal) -> SceneEvidence {
     let source = KnownLight::new(case, nominal, scene.light().into());
     evidence(case, nominal, &source, &EvidenceSetting::default()).unwrap()
 }
 
-fn of<'a>(ranked: &'a [Ranked], id: &str) -> &'a Located {
+fn location_of_effect<'a>(ranked: &'a [RankedEffect], id: &str) -> &'a LocatedEffect {
     let one = ranked.iter().find(|one| CANDIDATES[one.candidate].id == id && one.located.is_some());
     one.unwrap_or_else(|| {
         panic!(
@@ -82,9 +87,9 @@ fn is_near(found: u32, truth: u32) -> bool {
 fn an_effect_of_some_rows_is_found_in_them() {
     let (scene, plain, nominal) = texture();
     let other = with_effect(&scene, &plain, &nominal, "time_constant", "alpha", 1.0);
-    let case = mixed(&plain, &other, |pixel, _| plain.place(pixel).1 >= 16);
-    let found = found(&scene, &case, &nominal);
-    let located = of(&found.ranked, "time_constant");
+    let case = mix_cases(&plain, &other, |pixel, _| plain.pixel_place(pixel).1 >= 16);
+    let found = evidence_on_known_light(&scene, &case, &nominal);
+    let located = location_of_effect(&found.ranked, "time_constant");
     assert!(is_near(located.rows.range[0], 16) && located.rows.range[1] == 39, "{:?}", located.rows);
     assert!(located.rows.outside.unwrap().gain < 0.1 * located.rows.inside.gain);
     assert_eq!(
@@ -102,9 +107,9 @@ fn an_effect_of_some_rows_is_found_in_them() {
 fn an_effect_of_a_part_of_the_time_is_found_then() {
     let (scene, plain, nominal) = texture();
     let other = with_effect(&scene, &plain, &nominal, "time_constant", "alpha", 1.0);
-    let case = mixed(&plain, &other, |_, t_ns| t_ns >= 60_000_000);
-    let found = found(&scene, &case, &nominal);
-    let located = of(&found.ranked, "time_constant");
+    let case = mix_cases(&plain, &other, |_, t_ns| t_ns >= 60_000_000);
+    let found = evidence_on_known_light(&scene, &case, &nominal);
+    let located = location_of_effect(&found.ranked, "time_constant");
     let step_ns = (case.span.1 - case.span.0) / LocatedSetting::default().steps as i64;
     assert!(
         (located.time_ns.range[0] - 60_000_000).abs() <= 2 * step_ns
@@ -123,8 +128,8 @@ fn an_effect_that_is_everywhere_is_found_everywhere() {
         [("time_constant", "alpha"), ("clock_offset", "offset"), ("black_level", "black_level_dn")]
     {
         let case = with_effect(&scene, &plain, &nominal, id, parameter, 1.0);
-        let found = found(&scene, &case, &nominal);
-        let located = of(&found.ranked, id);
+        let found = evidence_on_known_light(&scene, &case, &nominal);
+        let located = location_of_effect(&found.ranked, id);
         let whole = (located.rows.range, located.columns.range, located.time_ns.range);
         assert_eq!(whole, ([0, 39], [0, 47], [case.span.0, case.span.1]), "{id}");
         assert_eq!(located.polarity, "both", "{id}: {:?}", located.by_polarity);
@@ -133,36 +138,36 @@ fn an_effect_that_is_everywhere_is_found_everywhere() {
 }
 
 #[test]
-fn a_threshold_of_one_polarity_says_which() {
+fn a_threshold_of_one_polarity_is_located_by_polarity() {
     let (scene, plain, nominal) = texture();
     for is_on in [true, false] {
-        let mut trial = Trial::stated(&nominal);
+        let mut trial = Trial::nominal(&nominal);
         let pixel = &mut trial.nominal.pixel;
         *(if is_on { &mut pixel.threshold_on } else { &mut pixel.threshold_off }) *= 1.15;
         let case = scene.recording_through(Some(&trial)).unwrap();
-        let found = found(&scene, &case, &nominal);
+        let found = evidence_on_known_light(&scene, &case, &nominal);
         // One number for both polarities fits one of them alone.
-        let located = of(&found.ranked, "threshold_scale");
+        let located = location_of_effect(&found.ranked, "threshold_scale");
         assert_eq!(located.polarity, if is_on { "on" } else { "off" }, "{:?}", located.by_polarity);
     }
     // Both by as much, one up and one down.
     let case = with_effect(&scene, &plain, &nominal, "threshold_asymmetry", "fraction", 1.0);
-    let found = found(&scene, &case, &nominal);
-    assert_eq!(of(&found.ranked, "threshold_asymmetry").polarity, "both");
+    let found = evidence_on_known_light(&scene, &case, &nominal);
+    assert_eq!(location_of_effect(&found.ranked, "threshold_asymmetry").polarity, "both");
 }
 
 #[test]
 fn a_leak_shows_after_long_intervals_and_a_dark_current_in_the_dark() {
     let (scene, plain, nominal) = texture();
     let case = with_effect(&scene, &plain, &nominal, "leak_events", "rate", 1.0);
-    let leak = found(&scene, &case, &nominal);
-    let leak = of(&leak.ranked, "leak_events");
+    let leak = evidence_on_known_light(&scene, &case, &nominal);
+    let leak = location_of_effect(&leak.ranked, "leak_events");
     assert_eq!((&leak.covariate[..], &leak.shape[..]), ("time_since_last_event", "rises"));
     let (short, long) = (leak.over.gain[0], leak.over.gain[leak.over.gain.len() - 1]);
     assert!(long.gain > 1.5 * short.gain && long.gain - short.gain > 4.0 * long.error, "{:?}", leak.over);
     let case = with_effect(&scene, &plain, &nominal, "dark_current", "current", 1.0);
-    let dark = found(&scene, &case, &nominal);
-    let dark = of(&dark.ranked, "dark_current");
+    let dark = evidence_on_known_light(&scene, &case, &nominal);
+    let dark = location_of_effect(&dark.ranked, "dark_current");
     assert_eq!(dark.covariate, "photocurrent");
     let bins = &dark.over_light.gain;
     assert!(bins[0].gain > bins[bins.len() - 1].gain, "{:?}", dark.over_light);
@@ -171,12 +176,12 @@ fn a_leak_shows_after_long_intervals_and_a_dark_current_in_the_dark() {
 #[test]
 fn what_has_no_name_has_the_place_of_its_curve() {
     let (scene, plain, nominal) = texture();
-    let mut trial = Trial::stated(&nominal);
+    let mut trial = Trial::nominal(&nominal);
     trial.nominal.pixel.threshold_on *= 1.2;
     trial.nominal.pixel.threshold_off *= 1.2;
     let other = scene.recording_through(Some(&trial)).unwrap();
-    let case = mixed(&plain, &other, |pixel, _| plain.place(pixel).1 % 2 == 1);
-    let best = found(&scene, &case, &nominal).open.remove(0);
+    let case = mix_cases(&plain, &other, |pixel, _| plain.pixel_place(pixel).1 % 2 == 1);
+    let best = evidence_on_known_light(&scene, &case, &nominal).open.remove(0);
     let located = best.located.unwrap();
     assert_eq!((&located.covariate[..], &located.shape[..]), ("row_parity", "differs"));
     assert_eq!((located.rows.range, located.columns.range), ([0, 39], [0, 47]));
@@ -187,7 +192,7 @@ fn what_has_no_name_has_the_place_of_its_curve() {
 fn a_moving_picture_locates_too_and_no_number_depends_on_threads() {
     let (scene, plain, nominal) = texture();
     let other = with_effect(&scene, &plain, &nominal, "time_constant", "alpha", 1.0);
-    let case = mixed(&plain, &other, |pixel, _| plain.place(pixel).1 >= 16);
+    let case = mix_cases(&plain, &other, |pixel, _| plain.pixel_place(pixel).1 >= 16);
     let of_picture = || {
         let source = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
         evidence(&case, &nominal, &source, &EvidenceSetting::default()).unwrap()
@@ -196,7 +201,7 @@ fn a_moving_picture_locates_too_and_no_number_depends_on_threads() {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(of_picture)
     };
     let found = on(1);
-    let located = of(&found.ranked, "time_constant");
+    let located = location_of_effect(&found.ranked, "time_constant");
     assert!(is_near(located.rows.range[0], 16) && located.rows.range[1] == 39, "{:?}", located.rows);
     assert_eq!(located.columns.range, [0, 47]);
     assert_eq!(serde_json::to_string(&found).unwrap(), serde_json::to_string(&on(3)).unwrap());
@@ -204,22 +209,22 @@ fn a_moving_picture_locates_too_and_no_number_depends_on_threads() {
 
 #[test]
 fn frames_and_events_together_locate_too() {
-    let scene = MadeUp::new(3, 1, Extent { width: 36, height: 30 }, 0.1);
+    let scene = SimulatedScene::new(3, 1, Extent { width: 36, height: 30 }, 0.1);
     let plain = scene.recording().unwrap();
     let nominal = plain.nominal().unwrap();
     // Thresholds of some rows that are 2 % larger.
     let other = with_effect(&scene, &plain, &nominal, "threshold_scale", "fraction", 0.2);
-    let case = mixed(&plain, &other, |pixel, _| plain.place(pixel).1 >= 12);
+    let case = mix_cases(&plain, &other, |pixel, _| plain.pixel_place(pixel).1 >= 12);
     let source = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
     let found = on_picture(&case, &nominal, &source).unwrap();
-    let located = of(&found.ranked, "threshold_scale");
+    let located = location_of_effect(&found.ranked, "threshold_scale");
     assert!(is_near(located.rows.range[0], 12) && located.rows.range[1] == 29, "{:?}", located.rows);
     assert_eq!(located.columns.range, [0, 35]);
 }
 
-/// Events over an array of 12 x 10 pixels with gains of a mean where `is_part` says so (column, row), and
+/// Events over an array of 12 x 10 pixels with gains of a mean where `is_part` is true (column, row), and
 /// about nothing elsewhere.
-struct Drawn {
+struct SimulatedGains {
     case: Case,
     pixel: Vec<u32>,
     t_ns: Vec<i64>,
@@ -229,10 +234,10 @@ struct Drawn {
     gains: Vec<f64>,
 }
 
-fn drawn(seed: u64, mean: f64, is_part: impl Fn(u32, u32) -> bool) -> Drawn {
+fn simulate_gains(seed: u64, mean: f64, is_part: impl Fn(u32, u32) -> bool) -> SimulatedGains {
     let case = testing::case();
     let mut random = Random::new(seed, &[]);
-    let mut drawn = Drawn {
+    let mut drawn = SimulatedGains {
         case,
         pixel: Vec::new(),
         t_ns: Vec::new(),
@@ -243,7 +248,7 @@ fn drawn(seed: u64, mean: f64, is_part: impl Fn(u32, u32) -> bool) -> Drawn {
     };
     for _ in 0..3_000 {
         let pixel = ((random.uniform() * 120.0) as u32).min(119);
-        let (x, y) = drawn.case.place(pixel as usize);
+        let (x, y) = drawn.case.pixel_place(pixel as usize);
         drawn.pixel.push(pixel);
         drawn.t_ns.push((random.uniform() * 60e6) as i64);
         drawn.polarity.push(if random.uniform() < 0.5 { 1 } else { -1 });
@@ -254,21 +259,21 @@ fn drawn(seed: u64, mean: f64, is_part: impl Fn(u32, u32) -> bool) -> Drawn {
     drawn
 }
 
-fn located(drawn: &Drawn) -> Located {
+fn located(drawn: &SimulatedGains) -> LocatedEffect {
     let setting = LocatedSetting::default();
-    let on = Values {
+    let on = GainingValues {
         pixel: &drawn.pixel,
         t_ns: &drawn.t_ns,
         polarity: &drawn.polarity,
         log_light: &drawn.light,
         block: &drawn.block,
     };
-    Ground::new(&drawn.case, on, &[], &setting).locate(&drawn.gains, "slope")
+    LocationData::new(&drawn.case, on, &[], &setting).locate(&drawn.gains, "slope")
 }
 
 #[test]
 fn a_block_of_the_array_is_found_and_chance_makes_no_parts() {
-    let found = located(&drawn(1, 1.0, |x, y| (3..9).contains(&x) && (2..6).contains(&y)));
+    let found = located(&simulate_gains(1, 1.0, |x, y| (3..9).contains(&x) && (2..6).contains(&y)));
     assert_eq!((found.columns.range, found.rows.range), ([3, 8], [2, 5]));
     assert!(
         found.columns.outside.is_some()
@@ -278,7 +283,7 @@ fn a_block_of_the_array_is_found_and_chance_makes_no_parts() {
     );
     // As strong everywhere, weak everywhere, and none at all.
     for (seed, mean) in (0..60).map(|seed| (seed, [1.0, 0.1, 0.0][seed as usize % 3])) {
-        let found = located(&drawn(seed, mean, |_, _| true));
+        let found = located(&simulate_gains(seed, mean, |_, _| true));
         let is_whole =
             [&found.rows.outside, &found.columns.outside, &found.time_ns.outside, &found.log_light.outside]
                 .iter()
@@ -294,9 +299,9 @@ fn a_block_of_the_array_is_found_and_chance_makes_no_parts() {
 
 #[test]
 fn a_gain_that_falls_off_slowly_is_no_part() {
-    let mut drawn = drawn(2, 0.0, |_, _| true);
+    let mut drawn = simulate_gains(2, 0.0, |_, _| true);
     for k in 0..drawn.gains.len() {
-        let row = f64::from(drawn.case.place(drawn.pixel[k] as usize).1);
+        let row = f64::from(drawn.case.pixel_place(drawn.pixel[k] as usize).1);
         drawn.gains[k] = 0.1 * drawn.gains[k] + 0.2 + 0.1 * row;
     }
     let found = located(&drawn);
@@ -314,7 +319,7 @@ fn curves_have_words() {
 
 #[test]
 fn a_location_takes_what_was_measured() {
-    let found = located(&drawn(1, 1.0, |x, _| x < 6));
+    let found = located(&simulate_gains(1, 1.0, |x, _| x < 6));
     let mut location = Location {
         stream: "frames".into(),
         polarity: "both".into(),
@@ -326,7 +331,7 @@ fn a_location_takes_what_was_measured() {
         pixels: 120,
         pixel_list: Vec::new(),
     };
-    found.put(&mut location);
+    found.copy_to(&mut location);
     assert_eq!(
         (location.columns, location.rows, &location.stream[..], location.shape.as_deref()),
         ([0, 5], [0, 9], "frames", Some("flat"))

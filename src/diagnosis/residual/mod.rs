@@ -37,23 +37,24 @@ pub(crate) mod separation;
 mod setting;
 mod steps;
 mod table;
+mod trials;
 
 use crate::candidates::Trial;
 use photocurrent_core::{Exposure, Timestamp};
 use photocurrent_scene::case::Case;
-use photocurrent_scene::light::Light;
+use photocurrent_scene::light::LogLight;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional, frame_values};
 use photocurrent_sensor::effects::{Domain, Effect, Kernel, Reading, RowSite, Site};
 use photocurrent_sensor::elementary::{exp, ln};
 use photocurrent_sensor::forward::neighbours::stand_in;
 use photocurrent_sensor::map::{MapFrame, PixelEvent};
-use prepared::Prepared;
+use prepared::PreparedTrial;
 use rayon::prelude::*;
 
 /// Events of some pixels with their residuals, in order of pixel and time.
 #[derive(Clone, Debug, Default)]
-pub struct Residuals {
+pub struct EventResiduals {
     /// The pixel of each event.
     pub pixel: Vec<u32>,
     /// Its number among the recording's events of that pixel.
@@ -76,25 +77,25 @@ pub struct Residuals {
     pub log_light: Vec<f64>,
 }
 
-/// What a trial makes of each event.
+/// A trial's residual of each event.
 #[derive(Clone, Debug, Default)]
-pub struct OfTrial {
+pub struct TrialResiduals {
     /// Its residual, natural-log units.
     pub excess: Vec<f32>,
     /// How fast the voltage moves there, ln/s.
     pub slope_per_s: Vec<f32>,
 }
 
-/// Which pixels are looked at, and the light of all.
-pub struct View<'a> {
+/// Evaluated pixels, and the light of all pixels.
+pub struct SampleView<'a> {
     /// The recording.
     pub case: &'a Case,
     /// The scene.
-    pub light: &'a Light,
+    pub light: &'a LogLight,
     /// Pixels, rising.
     pub pixels: Vec<u32>,
-    /// Does the scene stand without the frames? Otherwise it is what they imply, and effects of frames change
-    /// it.
+    /// Is the scene known independently of the frames? Otherwise it follows from them, and effects of frames
+    /// change it.
     pub is_known: bool,
 }
 
@@ -111,19 +112,19 @@ pub struct FrameValues {
     pub log_signal: Vec<f64>,
 }
 
-/// Pixels that are looked at by one thread at a time.
+/// Pixels per task of a thread.
 const CHUNK: usize = 16;
 
-/// Which events are looked at.
-enum Chosen<'a, K> {
+/// Events that are evaluated.
+enum ChosenEvents<'a, K> {
     /// Armed ones, by the first trial, where this keeps them.
     By(&'a K),
     /// These.
-    Before(&'a Residuals),
+    Before(&'a EventResiduals),
 }
 
-impl View<'_> {
-    /// Residuals of the armed events behind the first of each pixel, and what each trial makes of them.
+impl SampleView<'_> {
+    /// Residuals of the armed events after the first of each pixel, and those of each trial.
     ///
     /// # Errors
     /// When a trial's effects are not understood or cannot be combined.
@@ -131,18 +132,20 @@ impl View<'_> {
         &self,
         trials: &[Trial],
         keeps: impl Fn(usize, i64) -> bool + Sync,
-    ) -> Result<(Residuals, Vec<OfTrial>), String> {
-        let prepared =
-            trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
-        let parts: Vec<(Residuals, Vec<OfTrial>)> = self
+    ) -> Result<(EventResiduals, Vec<TrialResiduals>), String> {
+        let prepared = trials
+            .iter()
+            .map(|trial| PreparedTrial::new(self.case, trial))
+            .collect::<Result<Vec<_>, String>>()?;
+        let parts: Vec<(EventResiduals, Vec<TrialResiduals>)> = self
             .pixels
             .par_chunks(CHUNK)
-            .map(|pixels| self.part(pixels, &prepared, &Chosen::By(&keeps)))
+            .map(|pixels| self.evaluate_block(pixels, &prepared, &ChosenEvents::By(&keeps)))
             .collect();
-        let mut all = Residuals::default();
-        let mut of_trials: Vec<OfTrial> = vec![OfTrial::default(); trials.len()];
+        let mut all = EventResiduals::default();
+        let mut of_trials: Vec<TrialResiduals> = vec![TrialResiduals::default(); trials.len()];
         for (part, values) in parts {
-            let Residuals {
+            let EventResiduals {
                 pixel,
                 number,
                 t_ns,
@@ -172,17 +175,26 @@ impl View<'_> {
         Ok((all, of_trials))
     }
 
-    /// What each trial makes of events of the view's pixels that were chosen before.
+    /// Residuals of each trial for events that were selected before.
     ///
     /// # Errors
     /// When a trial's effects are not understood or cannot be combined.
-    pub fn of_events(&self, trials: &[Trial], events: &Residuals) -> Result<Vec<OfTrial>, String> {
-        let prepared =
-            trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
-        let chosen: Chosen<'_, fn(usize, i64) -> bool> = Chosen::Before(events);
-        let parts: Vec<Vec<OfTrial>> =
-            self.pixels.par_chunks(CHUNK).map(|pixels| self.part(pixels, &prepared, &chosen).1).collect();
-        let mut of_trials: Vec<OfTrial> = vec![OfTrial::default(); trials.len()];
+    pub fn evaluate_trials(
+        &self,
+        trials: &[Trial],
+        events: &EventResiduals,
+    ) -> Result<Vec<TrialResiduals>, String> {
+        let prepared = trials
+            .iter()
+            .map(|trial| PreparedTrial::new(self.case, trial))
+            .collect::<Result<Vec<_>, String>>()?;
+        let chosen: ChosenEvents<'_, fn(usize, i64) -> bool> = ChosenEvents::Before(events);
+        let parts: Vec<Vec<TrialResiduals>> = self
+            .pixels
+            .par_chunks(CHUNK)
+            .map(|pixels| self.evaluate_block(pixels, &prepared, &chosen).1)
+            .collect();
+        let mut of_trials: Vec<TrialResiduals> = vec![TrialResiduals::default(); trials.len()];
         for part in parts {
             for (all, values) in of_trials.iter_mut().zip(part) {
                 all.excess.extend(values.excess);
@@ -198,8 +210,10 @@ impl View<'_> {
     /// # Errors
     /// When a trial's effects are not understood or cannot be combined.
     pub fn frames(&self, trials: &[Trial]) -> Result<(FrameValues, Vec<Vec<f32>>), String> {
-        let prepared =
-            trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
+        let prepared = trials
+            .iter()
+            .map(|trial| PreparedTrial::new(self.case, trial))
+            .collect::<Result<Vec<_>, String>>()?;
         let instants: Vec<i64> = (0..self.light.count).map(|k| self.light.instant(k)).collect();
         let of_pixel = |&pixel: &u32| {
             let (mut values, mut left) = (FrameValues::default(), vec![Vec::new(); prepared.len()]);
@@ -243,13 +257,14 @@ impl View<'_> {
         Ok((all, of_trials))
     }
 
-    fn part(
+    fn evaluate_block(
         &self,
         pixels: &[u32],
-        prepared: &[Prepared],
-        chosen: &Chosen<'_, impl Fn(usize, i64) -> bool + Sync>,
-    ) -> (Residuals, Vec<OfTrial>) {
-        let (mut all, mut of_trials) = (Residuals::default(), vec![OfTrial::default(); prepared.len()]);
+        prepared: &[PreparedTrial],
+        chosen: &ChosenEvents<'_, impl Fn(usize, i64) -> bool + Sync>,
+    ) -> (EventResiduals, Vec<TrialResiduals>) {
+        let (mut all, mut of_trials) =
+            (EventResiduals::default(), vec![TrialResiduals::default(); prepared.len()]);
         let mut out = Conditional::default();
         let instants: Vec<i64> = (0..self.light.count).map(|k| self.light.instant(k)).collect();
         for &pixel in pixels {
@@ -261,7 +276,7 @@ impl View<'_> {
             let site = self.case.site(pixel, 0);
             let events = events_of(self.case, pixel);
             let mut kept: Vec<usize> = Vec::new();
-            if let Chosen::Before(events) = chosen {
+            if let ChosenEvents::Before(events) = chosen {
                 let from = events.pixel.partition_point(|of| (*of as usize) < pixel);
                 let to = events.pixel.partition_point(|of| (*of as usize) <= pixel);
                 kept.extend(events.number[from..to].iter().map(|number| *number as usize));
@@ -270,11 +285,11 @@ impl View<'_> {
                 }
             }
             let mut plain: Option<Track> = None;
-            let mut around = Around::default();
+            let mut around = NeighbourCache::default();
             for (n, prepared) in prepared.iter().enumerate() {
                 let seen = prepared
                     .kernel()
-                    .map(|kernel| self.mixed(kernel, prepared, pixel, &instants, &mut around));
+                    .map(|kernel| self.mixed_log_light(kernel, prepared, pixel, &instants, &mut around));
                 let changed = if self.is_known {
                     None
                 } else {
@@ -288,7 +303,7 @@ impl View<'_> {
                 let look =
                     Look { site, track, seen: seen.as_deref(), events: &events, frames: &[], quiet_ns: &[] };
                 conditional(&prepared.nominal, &prepared.effects, &look, &mut out);
-                if let (0, Chosen::By(keeps)) = (n, chosen) {
+                if let (0, ChosenEvents::By(keeps)) = (n, chosen) {
                     kept = (1..events.len())
                         .filter(|&k| {
                             out.is_armed[k]
@@ -298,7 +313,7 @@ impl View<'_> {
                         })
                         .collect();
                     for &k in &kept {
-                        self.push(&mut all, pixel, k, &events, &out, &log);
+                        self.push_pixel_events(&mut all, pixel, k, &events, &out, &log);
                     }
                 }
                 of_trials[n].excess.extend(kept.iter().map(|&k| out.excess[k] as f32));
@@ -308,9 +323,9 @@ impl View<'_> {
         (all, of_trials)
     }
 
-    fn push(
+    fn push_pixel_events(
         &self,
-        all: &mut Residuals,
+        all: &mut EventResiduals,
         pixel: usize,
         k: usize,
         events: &[PixelEvent],
@@ -333,15 +348,15 @@ impl View<'_> {
     }
 
     /// Log light that the event path sees where neighbours mix in, each as its frames imply it.
-    fn mixed(
+    fn mixed_log_light(
         &self,
         kernel: &Kernel,
-        prepared: &Prepared,
+        prepared: &PreparedTrial,
         pixel: usize,
         instants: &[i64],
-        around: &mut Around,
+        around: &mut NeighbourCache,
     ) -> Vec<f64> {
-        let (x, y) = self.case.place(pixel);
+        let (x, y) = self.case.pixel_place(pixel);
         let (width, height) = (self.case.extent.width as usize, self.case.extent.height as usize);
         let is_linear = kernel.domain == Domain::Linear;
         let taps: Vec<(usize, Option<Vec<f64>>)> = kernel
@@ -371,7 +386,7 @@ impl View<'_> {
             let values = match changed {
                 Some(log) if is_linear => &log.iter().map(|u| exp(*u)).collect(),
                 Some(log) => log,
-                None => around.seen[*at].of(is_linear),
+                None => around.seen[*at].log_light(is_linear),
             };
             sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += tap.weight * value);
         }
@@ -388,12 +403,12 @@ impl View<'_> {
 /// The events of a pixel, with stamps as recorded.
 fn events_of(case: &Case, pixel: usize) -> Vec<PixelEvent> {
     let event = |event: &PixelEvent| PixelEvent { t_off_ns: event.t_off_ns.max(event.t_in_ns), ..*event };
-    case.events.of(pixel).iter().map(event).collect()
+    case.events.of_pixel(pixel).iter().map(event).collect()
 }
 
 /// The known frame values of a pixel; their noise does not enter a residual.
 fn frames_of(case: &Case, nominal: &Nominal, pixel: usize) -> Vec<MapFrame> {
-    let (_, y) = case.place(pixel);
+    let (_, y) = case.pixel_place(pixel);
     let frame = |l: usize| -> Option<MapFrame> {
         let (dn, exposure) = (case.dn(l, pixel), case.frames.as_ref()?.times.exposure(l, y));
         let (start_ns, end_ns) = (exposure.start.0, exposure.end.0);
@@ -415,22 +430,22 @@ fn median_of(values: &mut [f64]) -> f64 {
 
 /// Light of a pixel's neighbours, kept from trial to trial.
 #[derive(Default)]
-struct Around {
-    seen: Vec<Neighbour>,
+struct NeighbourCache {
+    seen: Vec<NeighbourLight>,
     /// The last mixture of light that no effect of frames changes.
     mixed: Option<(Kernel, Vec<f64>)>,
 }
 
-struct Neighbour {
+struct NeighbourLight {
     pixel: usize,
     log: Vec<f64>,
     light: Vec<f64>,
 }
 
-impl Around {
+impl NeighbourCache {
     fn find(&mut self, pixel: usize, log: &[f32]) -> usize {
         self.seen.iter().position(|one| one.pixel == pixel).unwrap_or_else(|| {
-            self.seen.push(Neighbour {
+            self.seen.push(NeighbourLight {
                 pixel,
                 log: log.iter().map(|u| f64::from(*u)).collect(),
                 light: Vec::new(),
@@ -440,8 +455,8 @@ impl Around {
     }
 }
 
-impl Neighbour {
-    fn of(&mut self, is_linear: bool) -> &Vec<f64> {
+impl NeighbourLight {
+    fn log_light(&mut self, is_linear: bool) -> &Vec<f64> {
         if !is_linear {
             return &self.log;
         }
@@ -452,15 +467,14 @@ impl Neighbour {
     }
 }
 
-/// The light that frames imply when they were taken through effects: instants and log light; none where no
-/// effect touches frames.
+/// Light that frames imply through effects: instants and log light; `None` where no effect changes frames.
 ///
-/// The scene was fitted as if frames were exposed and read out as the description states. Through effects the
-/// same digital number, at the same stated exposure, stands for light of another instant and another size.
-/// Exposures overlap as the mean of a moving scene, so both are taken at the middle of an exposure.
+/// The scene was fitted to frames as the description exposes and reads them. Through effects the same DN at
+/// the same stated exposure is light of another instant and size. Exposures overlap as the mean of a moving
+/// scene, so both are evaluated at the middle of an exposure.
 fn through_frames(
     case: &Case,
-    prepared: &Prepared,
+    prepared: &PreparedTrial,
     site: &Site,
     instants: &[i64],
     log: &[f64],

@@ -9,7 +9,7 @@ use photocurrent_sensor::effects::{Effect, Kernel};
 use photocurrent_sensor::forward::neighbours::joined;
 
 /// A trial with its effects built and given the load of the recording.
-pub(super) struct Prepared {
+pub(super) struct PreparedTrial {
     /// The base fields.
     pub nominal: Nominal,
     /// The effects that the description states, and those of the trial.
@@ -17,7 +17,7 @@ pub(super) struct Prepared {
     kernel: Option<Kernel>,
 }
 
-impl Prepared {
+impl PreparedTrial {
     /// The mixture of neighbours that the event path sees.
     pub(super) fn kernel(&self) -> Option<&Kernel> {
         self.kernel.as_ref()
@@ -27,9 +27,9 @@ impl Prepared {
     ///
     /// # Errors
     /// When an effect or its parameters are not understood, or effects cannot be combined.
-    pub(super) fn new(case: &Case, trial: &Trial) -> Result<Prepared, String> {
+    pub(super) fn new(case: &Case, trial: &Trial) -> Result<PreparedTrial, String> {
         let effects = effects_of(case, &trial.effects)?;
         let kernel = joined(&effects).map_err(|why| why.to_string())?;
-        Ok(Prepared { nominal: trial.nominal.clone(), effects, kernel })
+        Ok(PreparedTrial { nominal: trial.nominal.clone(), effects, kernel })
     }
 }

@@ -11,24 +11,24 @@
 //!    free per bin of every covariate (`open`).
 //! 6. With the best one applied, all others are fitted again, its own size with them.
 
-use super::Residuals;
-use super::chance::{Chance, of_noise};
-use super::components::{Ground, Part, parts};
-use super::control::{Behind, control};
-use super::evidence::{Evidence, Ranked};
+use super::EventResiduals;
+use super::chance::{RandomEffects, noise_gain};
+use super::components::{ComponentData, VarianceComponent, variance_components};
+use super::control::{ControlScene, control};
+use super::evidence::{RankedEffect, SceneEvidence};
 use super::fit::EventNoise;
-use super::open::{self, Open};
+use super::open::{self, CovariateCurve};
 use super::setting::{DEPENDENCES, EvidenceSetting, KNOWN_STEP_NS, LEAST_NOISE, LEAST_SPREAD};
-use super::table::{Seen, Table, median_share};
-use crate::candidates::{CANDIDATES, Scales, Trial};
-use crate::rhythm::{Rhythm, strongest_period_ns};
+use super::table::{ResidualTable, SceneRecording, median_share};
+use crate::candidates::{CANDIDATES, EffectScales, Trial};
+use crate::rhythm::{ResidualRhythm, strongest_period_ns};
 use photocurrent_scene::case::Case;
-use photocurrent_scene::gate::Gate;
+use photocurrent_scene::gate::PredictionGate;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::{Scene, gate};
 use std::borrow::Cow;
 
-/// Asks which effects explain the events of a recording.
+/// Ranks the effects of the catalogue by how much they explain of a recording's events.
 ///
 /// # Errors
 /// When the scene predicts too few of the events' frames, or stated effects cannot be combined.
@@ -37,14 +37,14 @@ pub fn evidence(
     nominal: &Nominal,
     source: &dyn Scene,
     setting: &EvidenceSetting,
-) -> Result<Evidence, String> {
-    let scales = Scales::of(case, nominal);
+) -> Result<SceneEvidence, String> {
+    let scales = EffectScales::from_case(case, nominal);
     let (gate, counted, share) = counted_events(case, source, setting)?;
-    let pixels = spread(case, &counted, setting.events, setting.pixels);
-    let more = spread(case, &counted, 5 * setting.events, 3 * setting.pixels);
+    let pixels = spread_pixels(case, &counted, setting.events, setting.pixels);
+    let more = spread_pixels(case, &counted, 5 * setting.events, 3 * setting.pixels);
     let step_ns = setting.step.ns().min(if source.is_known() { KNOWN_STEP_NS } else { i64::MAX });
     let mut seen = on_scene(case, source, setting, &scales, gate, step_ns, [pixels, more]);
-    let stated = Trial::stated(nominal);
+    let stated = Trial::nominal(nominal);
 
     let control_case = control_recording(&seen, nominal)?;
     let control_source = source.refit(&control_case, nominal)?;
@@ -59,10 +59,10 @@ pub fn evidence(
     enough_left(&table, &control_table, setting)?;
 
     let rhythm = rhythm_of(case, &table.events, table.residual());
-    let control_dependences =
-        control_seen.dependences(&control_table, &control_seen.lay(&control_table, nominal, rhythm)[0]);
+    let control_dependences = control_seen
+        .dependences(&control_table, &control_seen.covariates_of_rows(&control_table, nominal, rhythm)[0]);
     let slope_per_s = median_slope(&table);
-    let control_white = control_seen.white(&stated, control_source.as_ref())?;
+    let control_white = control_seen.noise_share(&stated, control_source.as_ref())?;
     let chance = of_chance(&seen, nominal, &control_table, control_white, slope_per_s);
     let ranking = Ranking {
         nominal,
@@ -75,20 +75,20 @@ pub fn evidence(
         softest,
     };
 
-    let base = ranking.round(&seen, &table, &stated, None, setting.refined)?;
+    let base = ranking.rank_effects(&seen, &table, &stated, None, setting.refined)?;
     let base_median = left_of(&seen, &table);
     // On a fitted scene, what it gets wrong widens residuals, and its noise is the control's.
-    let noise_of = |round: &Round| if source.is_known() { of_noise(&round.random) } else { 0.0 };
+    let noise_of = |round: &RankingRound| if source.is_known() { noise_gain(&round.random) } else { 0.0 };
     let mut noise = [noise_of(&base), 0.0];
     let first = base.best(noise[0]).cloned();
-    let (mut left, mut after) = ([base_median; 2], Round::default());
+    let (mut left, mut after) = ([base_median; 2], RankingRound::default());
     if let Some(first) = &first {
         (after, left) = ranking.with_first(&mut seen, &table, &base.parts, first)?;
         noise[1] = noise_of(&after);
     }
     let lists = [base.ranked, after.ranked, base.random, after.random];
-    let [ranked, second, random, random_second] = lists.map(|list| marked(case, nominal, list));
-    Ok(Evidence {
+    let [ranked, second, random, random_second] = lists.map(|list| mark_measurable(case, nominal, list));
+    Ok(SceneEvidence {
         scene: source.name().to_owned(),
         nats_per_event: table.nats_per_event,
         share,
@@ -109,7 +109,7 @@ pub fn evidence(
         random_second,
         open: base.open,
         open_second: after.open,
-        ..Evidence::default()
+        ..SceneEvidence::default()
     })
 }
 
@@ -119,11 +119,13 @@ fn counted_events(
     case: &Case,
     source: &dyn Scene,
     setting: &EvidenceSetting,
-) -> Result<(Gate, Vec<usize>, f64), String> {
+) -> Result<(PredictionGate, Vec<usize>, f64), String> {
     let gate = source.gate(case, gate::LEAST_DN, gate::SPREAD);
     let all = case.events.len();
     let counted: Vec<usize> = (0..case.extent.pixels())
-        .map(|pixel| case.events.of(pixel).iter().filter(|event| gate.keeps(pixel, event.t_in_ns)).count())
+        .map(|pixel| {
+            case.events.of_pixel(pixel).iter().filter(|event| gate.accepts(pixel, event.t_in_ns)).count()
+        })
         .collect();
     let kept: usize = counted.iter().sum();
     let share = kept as f64 / all.max(1) as f64;
@@ -137,19 +139,19 @@ fn counted_events(
     Ok((gate, counted, share))
 }
 
-/// A recording on its scene, with nothing of the scene moved; `pixels`: those of the residuals, and those of
-/// what needs pairs.
+/// A recording with its scene, its free parameters unchanged. `pixels`: those with residuals, and those for
+/// pairs.
 fn on_scene<'a>(
     case: &'a Case,
     source: &'a dyn Scene,
     setting: &'a EvidenceSetting,
-    scales: &'a Scales,
-    gate: Gate,
+    scales: &'a EffectScales,
+    gate: PredictionGate,
     step_ns: i64,
     pixels: [Vec<u32>; 2],
-) -> Seen<'a> {
+) -> SceneRecording<'a> {
     let [pixels, more] = pixels;
-    let mut seen = Seen {
+    let mut seen = SceneRecording {
         case,
         light: source.light(case, step_ns),
         gate,
@@ -169,17 +171,21 @@ fn on_scene<'a>(
 }
 
 /// The control of a recording: the stated sensor before a scene that looks like this one.
-fn control_recording(seen: &Seen<'_>, nominal: &Nominal) -> Result<Case, String> {
+fn control_recording(seen: &SceneRecording<'_>, nominal: &Nominal) -> Result<Case, String> {
     let (setting, source) = (seen.setting, seen.source);
     let mut simulated: Vec<u32> = seen.more.iter().chain(&seen.pixels).copied().collect();
     simulated.sort_unstable();
     simulated.dedup();
-    let behind = Behind::looking_like(seen.case, nominal, source, &seen.light, setting.seed)?;
+    let behind = ControlScene::looking_like(seen.case, nominal, source, &seen.light, setting.seed)?;
     control(seen.case, nominal, source, &behind, &simulated, setting.block, setting.seed)
 }
 
 /// An error when too few events of the recording or of its control have residuals.
-fn enough_left(table: &Table, control_table: &Table, setting: &EvidenceSetting) -> Result<(), String> {
+fn enough_left(
+    table: &ResidualTable,
+    control_table: &ResidualTable,
+    setting: &EvidenceSetting,
+) -> Result<(), String> {
     let events = table.residual().len();
     if events < setting.least_events / 5 {
         return Err(format!(
@@ -201,7 +207,7 @@ fn enough_left(table: &Table, control_table: &Table, setting: &EvidenceSetting) 
 
 /// The rhythm in which residuals swing most, apart from that of the frames: of events, or of the resets
 /// before them.
-pub(super) fn rhythm_of(case: &Case, events: &Residuals, residual: &[f64]) -> Option<Rhythm> {
+pub(super) fn rhythm_of(case: &Case, events: &EventResiduals, residual: &[f64]) -> Option<ResidualRhythm> {
     let frame_ns =
         case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period| period as i64);
     let of = |is_at_reset: bool| {
@@ -209,26 +215,26 @@ pub(super) fn rhythm_of(case: &Case, events: &Residuals, residual: &[f64]) -> Op
         let swing =
             residual.iter().enumerate().map(|(k, left)| (instant(k), f64::from(events.polarity[k]) * left));
         let (period_ns, power) = strongest_period_ns(swing, case.span, frame_ns)?;
-        Some((Rhythm { period_ns, is_at_reset }, power))
+        Some((ResidualRhythm { period_ns, is_at_reset }, power))
     };
     let found = [of(false), of(true)].into_iter().flatten();
     found.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(rhythm, _)| rhythm)
 }
 
 /// Median slope of the voltage at the events, ln/s.
-fn median_slope(table: &Table) -> f64 {
+fn median_slope(table: &ResidualTable) -> f64 {
     let mut slopes: Vec<f64> = table.events.slope_per_s.iter().map(|slope| slope.abs()).collect();
     slopes.sort_by(f64::total_cmp);
     slopes.get(slopes.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Median absolute residual over the threshold; what a known scene leaves open is no misfit.
-fn left_of(seen: &Seen<'_>, table: &Table) -> f64 {
+/// Median absolute residual over the threshold; 0 on a known scene.
+fn left_of(seen: &SceneRecording<'_>, table: &ResidualTable) -> f64 {
     median_share(if seen.is_known { table.sharp() } else { table.residual() }, seen.scales.threshold)
 }
 
-/// With those marked whose size is worth a word.
-fn marked(case: &Case, nominal: &Nominal, mut list: Vec<Ranked>) -> Vec<Ranked> {
+/// Marks effects of a material size.
+fn mark_measurable(case: &Case, nominal: &Nominal, mut list: Vec<RankedEffect>) -> Vec<RankedEffect> {
     list.iter_mut()
         .for_each(|one| one.is_material = CANDIDATES[one.candidate].is_material(case, nominal, one.value));
     list
@@ -236,84 +242,87 @@ fn marked(case: &Case, nominal: &Nominal, mut list: Vec<Ranked>) -> Vec<Ranked> 
 
 /// All effects on top of one sensor.
 #[derive(Default)]
-struct Round {
+struct RankingRound {
     /// With a size, best first.
-    ranked: Vec<Ranked>,
+    ranked: Vec<RankedEffect>,
     /// Random ones, best first.
-    random: Vec<Ranked>,
+    random: Vec<RankedEffect>,
     /// And the parts that they are.
-    parts: Vec<Part>,
-    /// What no effect of the catalogue has.
-    open: Vec<Open>,
+    parts: Vec<VarianceComponent>,
+    /// Uncatalogued curves.
+    open: Vec<CovariateCurve>,
     /// Share of the squares of residuals that is noise of pixels.
     white: f64,
 }
 
-impl Round {
+impl RankingRound {
     /// The best of all, where wider noise of events alone gains `noise`.
-    fn best(&self, noise: f64) -> Option<&Ranked> {
-        let found = |one: &&Ranked| one.is_exact && one.beyond() > 0.0;
-        let best = |a: &&Ranked, b: &&Ranked| {
-            b.standing(noise).total_cmp(&a.standing(noise)).then(Ranked::by_gain(a, b))
+    fn best(&self, noise: f64) -> Option<&RankedEffect> {
+        let found = |one: &&RankedEffect| one.is_exact && one.gain_beyond_control() > 0.0;
+        let best = |a: &&RankedEffect, b: &&RankedEffect| {
+            b.gain_beyond_noise(noise)
+                .total_cmp(&a.gain_beyond_noise(noise))
+                .then(RankedEffect::by_gain(a, b))
         };
         self.ranked.iter().filter(found).chain(self.random.iter().filter(found)).min_by(best)
     }
 }
 
-/// What the rounds of effects on one recording share.
+/// Data that the rounds on one recording share.
 struct Ranking<'a> {
     nominal: &'a Nominal,
     /// The sensor as it is described.
     stated: &'a Trial,
-    control_table: &'a Table,
-    control_dependences: &'a [Open],
-    chance: &'a Chance<'a>,
-    rhythm: Option<Rhythm>,
+    control_table: &'a ResidualTable,
+    control_dependences: &'a [CovariateCurve],
+    chance: &'a RandomEffects<'a>,
+    rhythm: Option<ResidualRhythm>,
     step_ns: i64,
     softest: f64,
 }
 
 impl Ranking<'_> {
     /// All effects on top of a sensor and its table; `first`: an effect that the sensor has, and its size.
-    fn round(
+    fn rank_effects(
         &self,
-        seen: &Seen<'_>,
-        table: &Table,
+        seen: &SceneRecording<'_>,
+        table: &ResidualTable,
         trial: &Trial,
         first: Option<(usize, f64)>,
         refined: usize,
-    ) -> Result<Round, String> {
-        let laid = seen.lay(table, self.nominal, self.rhythm);
-        let places = seen.places(table, &laid);
+    ) -> Result<RankingRound, String> {
+        let laid = seen.covariates_of_rows(table, self.nominal, self.rhythm);
+        let places = seen.gain_locator(table, &laid);
         let ranked =
             seen.rank(self.stated, table, self.control_table, first, refined, self.nominal, &places)?;
-        let white = seen.white(trial, seen.source)?;
-        let columns = table.of_pixels();
-        let (random, parts) = self.chance.beyond(&ground(table, &columns, white, seen.scales.threshold));
+        let white = seen.noise_share(trial, seen.source)?;
+        let columns = table.pixel_columns();
+        let (random, parts) =
+            self.chance.rank_beyond_control(&ground(table, &columns, white, seen.scales.threshold));
         let mut open = seen.dependences(table, &laid[0]);
-        open::beyond(&mut open, self.control_dependences);
+        open::subtract_control_gains(&mut open, self.control_dependences);
         open.truncate(DEPENDENCES);
         if let Some(best) = open.first_mut() {
             seen.locate_dependence(table, &laid[0], &places, best);
         }
-        Ok(Round { ranked, random, parts, open, white })
+        Ok(RankingRound { ranked, random, parts, open, white })
     }
 
-    /// All other effects with the first one applied, and what the first one and both leave; `table` and
-    /// `parts` are those without it.
+    /// All other effects with the first one applied, and the misfits with the first and with both. `table`,
+    /// `parts`: without it.
     fn with_first(
         &self,
-        seen: &mut Seen<'_>,
-        table: &Table,
-        parts: &[Part],
-        first: &Ranked,
-    ) -> Result<(Round, [f64; 2]), String> {
+        seen: &mut SceneRecording<'_>,
+        table: &ResidualTable,
+        parts: &[VarianceComponent],
+        first: &RankedEffect,
+    ) -> Result<(RankingRound, [f64; 2]), String> {
         let is_random = CANDIDATES[first.candidate].is_random;
         let effect_size = first.effect_size + first.control_effect_size;
         let with = if is_random {
             self.stated.clone()
         } else {
-            self.stated.and(&CANDIDATES[first.candidate], effect_size, seen.scales)
+            self.stated.with_effect(&CANDIDATES[first.candidate], effect_size, seen.scales)
         };
         let shifted = parts
             .iter()
@@ -324,8 +333,10 @@ impl Ranking<'_> {
             seen.own = table.sharp().iter().zip(left).map(|(base, left)| (base - left) as f32).collect();
         }
         if !is_random
-            && let Some(light) =
-                seen.source.target().and_then(|target| target.moved(seen.case, self.step_ns, None, &first.by))
+            && let Some(light) = seen
+                .source
+                .target()
+                .and_then(|target| target.moved_light(seen.case, self.step_ns, None, &first.by))
         {
             (seen.by, seen.light) = (first.by.clone(), light);
             seen.near = seen.steps(&seen.by);
@@ -333,7 +344,7 @@ impl Ranking<'_> {
         let table = seen.table(&with, Some(first.candidate), self.softest)?;
         let mut left = [left_of(seen, &table); 2];
         let first_effect = (!is_random).then_some((first.candidate, effect_size));
-        let mut round = self.round(seen, &table, &with, first_effect, seen.setting.refined_second)?;
+        let mut round = self.rank_effects(seen, &table, &with, first_effect, seen.setting.refined_second)?;
         round.random.retain(|other| other.candidate != first.candidate);
         if let Some(other) = round.ranked.first().filter(|other| other.is_exact) {
             left[1] = other.left;
@@ -344,22 +355,28 @@ impl Ranking<'_> {
 
 /// Random effects of a recording, counted from its control.
 fn of_chance<'a>(
-    seen: &Seen<'a>,
+    seen: &SceneRecording<'a>,
     nominal: &'a Nominal,
-    control: &Table,
+    control: &ResidualTable,
     white: f64,
     slope_per_s: f64,
-) -> Chance<'a> {
-    let Seen { case, scales, is_known, .. } = *seen;
+) -> RandomEffects<'a> {
+    let SceneRecording { case, scales, is_known, .. } = *seen;
     let least = LEAST_NOISE * scales.threshold;
     let noise = EventNoise::estimate(control.sharp(), &control.events.slope_per_s, least);
-    let control = parts(&ground(control, &control.of_pixels(), white, scales.threshold), &noise);
-    Chance { case, scales, nominal, is_known, slope_per_s, noise, control }
+    let control =
+        variance_components(&ground(control, &control.pixel_columns(), white, scales.threshold), &noise);
+    RandomEffects { case, scales, nominal, is_known, slope_per_s, noise, control }
 }
 
-/// What parts of the distribution of a table's residuals are measured on; `columns`: [`Table::of_pixels`].
-fn ground<'a>(table: &'a Table, columns: &'a [Cow<'a, [f32]>; 2], white: f64, threshold: f64) -> Ground<'a> {
-    Ground {
+/// Data of the variance components of a table's residuals. `columns`: [`ResidualTable::pixel_columns`].
+fn ground<'a>(
+    table: &'a ResidualTable,
+    columns: &'a [Cow<'a, [f32]>; 2],
+    white: f64,
+    threshold: f64,
+) -> ComponentData<'a> {
+    ComponentData {
         events: &table.events,
         residual: table.sharp(),
         columns: [&columns[0], &columns[1]],
@@ -373,7 +390,7 @@ fn ground<'a>(table: &'a Table, columns: &'a [Cow<'a, [f32]>; 2], white: f64, th
 
 /// Pixels spread over the array, about `pixels` at most, whose events that count are about `events` in all at
 /// most.
-fn spread(case: &Case, counted: &[usize], events: usize, pixels: usize) -> Vec<u32> {
+fn spread_pixels(case: &Case, counted: &[usize], events: usize, pixels: usize) -> Vec<u32> {
     let width = case.extent.width as usize;
     let all: usize = counted.iter().sum();
     let lit = counted.iter().filter(|count| **count > 0).count();

@@ -1,28 +1,32 @@
 //! Scenes estimated from frames against the light of simulated recordings: one picture, a picture before a
 //! still ground, parts; and effects on known light.
 
-use crate::candidates::{CANDIDATES, Scales, Trial};
-use crate::residual::evidence::{Evidence, EvidenceSetting};
+use crate::candidates::{CANDIDATES, EffectScales, Trial};
+use crate::residual::evidence::{EvidenceSetting, SceneEvidence};
 use crate::residual::ranking::evidence;
-use crate::scenes::MadeUp;
+use crate::scenes::SimulatedScene;
 use photocurrent_core::Extent;
 use photocurrent_scene::Scene;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::known::KnownLight;
 use photocurrent_scene::mosaic::scene;
 use photocurrent_scene::moving::MovingPicture;
-use photocurrent_scene::picture::patches::{PatchSetting, TURN, follow, foreground, ground};
-use photocurrent_scene::picture::{Begin, Picture, PictureSetting};
+use photocurrent_scene::picture::patches::{PatchSetting, TURN, follow_motion, foreground, ground};
+use photocurrent_scene::picture::{FitStart, PictureSetting, ScenePicture};
 use photocurrent_scene::statistics::median;
 use photocurrent_sensor::conditional::at;
 
-fn seen(scene: &MadeUp, effect: Option<(&str, &str, f64)>) -> (Evidence, Option<f64>) {
+fn evidence_and_gain(
+    scene: &SimulatedScene,
+    effect: Option<(&str, &str, f64)>,
+) -> (SceneEvidence, Option<f64>) {
     let nominal = scene.recording().unwrap().nominal().unwrap();
-    let scales = Scales::of(&scene.recording().unwrap(), &nominal);
+    let scales = EffectScales::from_case(&scene.recording().unwrap(), &nominal);
     let candidate = effect.map(|(id, parameter, effect_size)| {
         (CANDIDATES.iter().find(|one| one.id == id && one.parameter == parameter).unwrap(), effect_size)
     });
-    let trial = candidate.map(|(one, effect_size)| Trial::with(&nominal, one, effect_size, &scales));
+    let trial =
+        candidate.map(|(one, effect_size)| Trial::nominal_with_effect(&nominal, one, effect_size, &scales));
     let case = scene.recording_through(trial.as_ref()).unwrap();
     let source = KnownLight::new(&case, &nominal, scene.light().into());
     let truth = candidate.map(|(one, effect_size)| one.value(effect_size, &scales, &nominal));
@@ -33,9 +37,9 @@ fn seen(scene: &MadeUp, effect: Option<(&str, &str, f64)>) -> (Evidence, Option<
 fn on_known_light_effects_of_events_and_of_frames_come_first_with_their_size() {
     // A texture and discs, by their numbers.
     for index in 1..3 {
-        let scene = MadeUp::new(3, index, Extent { width: 32, height: 24 }, 0.15);
+        let scene = SimulatedScene::new(3, index, Extent { width: 32, height: 24 }, 0.15);
         for effect in [("time_constant", "alpha", 1.0), ("black_level", "black_level_dn", 1.0)] {
-            let (found, truth) = seen(&scene, Some(effect));
+            let (found, truth) = evidence_and_gain(&scene, Some(effect));
             let (best, truth) = (&found.ranked[0], truth.unwrap());
             assert_eq!(CANDIDATES[best.candidate].id, effect.0, "scene {index}: {:?}", &found.ranked[..3]);
             assert!(
@@ -45,9 +49,9 @@ fn on_known_light_effects_of_events_and_of_frames_come_first_with_their_size() {
                 best.value
             );
         }
-        let (found, _) = seen(&scene, None);
+        let (found, _) = evidence_and_gain(&scene, None);
         assert!(
-            found.ranked[0].beyond() < 0.02 && found.left[0] < 0.02,
+            found.ranked[0].gain_beyond_control() < 0.02 && found.left[0] < 0.02,
             "scene {index}: {:?}",
             found.ranked[0]
         );
@@ -85,7 +89,7 @@ fn error(source: &dyn Scene, case: &Case, truth: &[(Vec<i64>, Vec<f64>)]) -> f64
 fn what_moves_before_a_still_wall_is_followed_and_one_picture_is_left_alone() {
     let extent = Extent { width: 48, height: 36 };
     let fan = (0..)
-        .map(|index| MadeUp::in_parts(5, index, extent, 0.08))
+        .map(|index| SimulatedScene::in_parts(5, index, extent, 0.08))
         .find(|scene| scene.sketch.name() == "fan")
         .unwrap();
     let case = fan.recording().unwrap();
@@ -96,7 +100,7 @@ fn what_moves_before_a_still_wall_is_followed_and_one_picture_is_left_alone() {
     let (parts, one) = (error(found.as_ref(), &case, &fan.light()), error(&one, &case, &fan.light()));
     assert!(parts < 0.5 * one, "{parts} of natural-log units, one picture {one}");
 
-    let texture = MadeUp::new(21, 0, extent, 0.06);
+    let texture = SimulatedScene::new(21, 0, extent, 0.06);
     let case = texture.recording().unwrap();
     assert_eq!(
         scene(&case, &case.nominal().unwrap(), &PictureSetting::default(), &PatchSetting::default())
@@ -113,7 +117,7 @@ fn what_moves_before_a_still_ground_is_seen_with_its_light() {
     for (name, most) in [("fan", 0.04), ("ball", 0.06)] {
         let extent = Extent { width: 48, height: 36 };
         let scene = (0..2_000)
-            .map(|index| MadeUp::in_parts(21, index, extent, 0.12))
+            .map(|index| SimulatedScene::in_parts(21, index, extent, 0.12))
             .find(|scene| scene.sketch.name() == name && scene.sketch.px_per_s(0.0, 0.0) < 500.0)
             .unwrap();
         let case = scene.recording().unwrap();
@@ -126,13 +130,13 @@ fn what_moves_before_a_still_ground_is_seen_with_its_light() {
             .iter()
             .map(|dn| ((dn - nominal.number.black_level) / (nominal.number.gain * exposure_s)) as f32)
             .collect();
-        let poses = follow(&case, &nominal, &counts, TURN);
-        let picture = Picture::fit_from(
+        let poses = follow_motion(&case, &nominal, &counts, TURN);
+        let picture = ScenePicture::fit_from(
             &case,
             &nominal,
             &PictureSetting::default(),
             &[&poses],
-            Begin { counts: None, ground: Some(&ground), selected: None },
+            FitStart { counts: None, ground: Some(&ground), selected: None },
         );
         // Between frames, at instants that no exposure covers, where something moves.
         let (mut of_picture, mut of_ground) = (Vec::new(), Vec::new());
@@ -143,7 +147,7 @@ fn what_moves_before_a_still_ground_is_seen_with_its_light() {
             for pixel in (0..extent.pixels())
                 .filter(|pixel| counts[l * extent.pixels() + pixel] && ground[*pixel].is_finite())
             {
-                let (x, y) = case.place(pixel);
+                let (x, y) = case.pixel_place(pixel);
                 let truth = scene.sketch.log_light(f64::from(x), f64::from(y), t_ns as f64 * 1e-9);
                 let found = picture.log_light(x as usize, y as usize, &[map]).unwrap()[0];
                 of_picture.push((found - truth).abs());
@@ -162,9 +166,10 @@ fn what_moves_before_a_still_ground_is_seen_with_its_light() {
 #[test]
 fn photographs_that_shake_zoom_and_turn_are_predicted() {
     for index in 0..3 {
-        let case = MadeUp::photograph(22, index, Extent { width: 40, height: 30 }, 0.1).recording().unwrap();
+        let case =
+            SimulatedScene::photograph(22, index, Extent { width: 40, height: 30 }, 0.1).recording().unwrap();
         let nominal = case.nominal().unwrap();
-        let picture = Picture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
+        let picture = ScenePicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
         let mut sizes: Vec<f64> = picture
             .residual
             .iter()

@@ -1,4 +1,4 @@
-//! How evidence is computed.
+//! Settings of the evidence.
 
 use super::located::LocatedSetting;
 use photocurrent_core::quantity::Duration;
@@ -7,24 +7,24 @@ use serde::{Deserialize, Serialize};
 
 /// Known light is sampled at least this often, ns.
 pub(super) const KNOWN_STEP_NS: i64 = 25_000;
-/// On scenes that follow events standard errors are this much larger than the information has them: what
-/// sound recordings show.
+/// Ratio of actual standard errors to those of the information, on scenes estimated from events: by nominal
+/// recordings.
 pub(super) const ERRORS: f64 = 3.0;
 /// Least threshold noise, as a share of the threshold.
 pub(super) const LEAST_NOISE: f64 = 1e-3;
 /// Effect size of the finite differences, as a share of a usual one.
 pub(super) const PROBE: f64 = 0.05;
-/// Less than this share of the best gain to first order is not worth an exact fit.
+/// Least first-order gain of an effect that is fitted exactly, as a share of the best gain.
 pub(super) const WORTH_REFINING: f64 = 0.3;
-/// A size that moves by less than this share stands.
+/// Largest last step of a size, as a share of it.
 pub(super) const STILL: f64 = 0.003;
 /// Largest effect size of a search.
 pub(super) const LARGEST_EFFECT_SIZE: f64 = 12.0;
 /// Least noise of single events that matters, of thresholds or of stamps at the median slope, as a share of
 /// the threshold.
 pub(super) const LEAST_EVENT_NOISE: f64 = 0.015;
-/// On known light, noise of thresholds below this share of them is none that a description without
-/// `threshold_noise` contradicts.
+/// Threshold noise on known light that a description without `threshold_noise` includes, as a share of the
+/// threshold.
 pub(super) const LEAST_UNSTATED_NOISE: f64 = 0.05;
 /// Least gain of a spread of delays in the comparator, nats an event.
 pub(super) const LEAST_SPREAD: f64 = 0.1;
@@ -33,7 +33,7 @@ pub(super) const CELL: f64 = 0.5;
 /// Where the voltage moves slower than this share of the median, an event's time constrains no more than
 /// there.
 pub(super) const LEAST_SLOPE: f64 = 0.1;
-/// So many curves of what is in no catalogue are reported.
+/// Number of uncatalogued curves that are reported.
 pub(super) const DEPENDENCES: usize = 6;
 
 /// How evidence is computed.
@@ -73,7 +73,7 @@ pub struct EvidenceSetting {
     /// Seed of the control.
     #[serde(skip)]
     pub seed: u64,
-    /// When a part of the recording stands out as the one that an effect is in.
+    /// Settings of the location of effects.
     #[serde(skip)]
     pub located: LocatedSetting,
 }

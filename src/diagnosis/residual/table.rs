@@ -1,62 +1,64 @@
 //! First-order fits of every effect on a scene, and exact ones of a few together.
 
 use super::components::{SPREADS, white_share};
-use super::evidence::Ranked;
+use super::evidence::RankedEffect;
 use super::fit::{
-    Column, EventNoise, Fitted, Plain, Rest, Rows, Soft, gain_of, gains, heldout, without_softness,
+    EffectColumn, EventNoise, FittedColumns, NullFit, ResidualRows, ResidualsAndSlopes, SoftnessColumn,
+    gain_of, heldout, row_gains, without_softness,
 };
 use super::formulas::formulas;
-use super::laid::{Laid, lay};
-use super::open::{self, Open};
-use super::places::Places;
-use super::prepared::Prepared;
+use super::laid::{CovariateColumns, covariate_columns};
+use super::open::{self, CovariateCurve};
+use super::places::GainLocator;
+use super::prepared::PreparedTrial;
 use super::setting::{CELL, EvidenceSetting, LARGEST_EFFECT_SIZE, LEAST_SLOPE, PROBE, STILL, WORTH_REFINING};
-use super::{FrameValues, Residuals, View};
-use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
-use crate::covariates::{Covariate, Surroundings};
-use crate::rhythm::Rhythm;
+use super::trials::EvaluatedTrials;
+use super::{EventResiduals, FrameValues, SampleView};
+use crate::candidates::{CANDIDATES, EffectScales, Signs, Trial};
+use crate::covariates::{Covariate, CovariateSource};
+use crate::rhythm::ResidualRhythm;
 use photocurrent_scene::case::Case;
-use photocurrent_scene::gate::Gate;
-use photocurrent_scene::light::Light;
+use photocurrent_scene::gate::PredictionGate;
+use photocurrent_scene::light::LogLight;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::statistics::median;
-use photocurrent_scene::{Cell, Scene};
+use photocurrent_scene::{Scene, SceneCell};
 use photocurrent_sensor::effects::sought::Grows;
 use photocurrent_sensor::elementary::ln;
 use std::borrow::Cow;
 use std::sync::LazyLock;
 
-/// A recording with its scene, ready to be asked.
-pub(super) struct Seen<'a> {
+/// A recording with its scene, for evaluating trials.
+pub(super) struct SceneRecording<'a> {
     pub case: &'a Case,
-    pub light: Light,
-    pub gate: Gate,
+    pub light: LogLight,
+    pub gate: PredictionGate,
     pub pixels: Vec<u32>,
-    /// For what needs pairs of pixels.
+    /// Further pixels, for pairs.
     pub more: Vec<u32>,
     pub setting: &'a EvidenceSetting,
-    pub scales: &'a Scales,
+    pub scales: &'a EffectScales,
     /// Least noise, natural-log units.
     pub least: f64,
-    /// Does the scene stand without the frames? Then their values are looked at as well.
+    /// Is the scene known independently of the frames? Then their values are evaluated as well.
     pub is_known: bool,
-    /// The scene, for what is free of it.
+    /// The scene, with its free parameters.
     pub source: &'a dyn Scene,
-    /// How far the free parameters stand from where the source has them, shares of their ranges; `light` is
-    /// that of the source moved so.
+    /// Shift of the free parameters from the scene's, shares of their ranges; `light` is that of the shifted
+    /// scene.
     pub by: Vec<f64>,
-    /// And the light with each of them moved from there by a step ([`Seen::steps`]).
-    pub near: Vec<(f64, Light)>,
-    /// What each pixel's own size of a random effect subtracts from each residual; nothing, or of the stated
+    /// And the light with each of them moved from there by a step ([`SceneRecording::steps`]).
+    pub near: Vec<(f64, LogLight)>,
+    /// Correction of each residual by its pixel's own size of a random effect; empty, or for the stated
     /// sensor's events.
     pub own: Vec<f32>,
 }
 
 /// One sensor and everything on top of it.
-pub(super) struct Table {
+pub(super) struct ResidualTable {
     /// The sensor.
     pub trial: Trial,
-    pub events: Residuals,
+    pub events: EventResiduals,
     /// Frame values, of a known scene.
     frames: FrameValues,
     /// Slopes of events; behind them, of a known scene, brightness of frame values.
@@ -65,7 +67,7 @@ pub(super) struct Table {
     block: Vec<u32>,
     /// Residuals, likewise.
     base: Vec<f64>,
-    /// Residuals of the events without what a picture that is too soft leaves.
+    /// Residuals of the events, corrected for softness of the picture.
     sharp: Vec<f64>,
     /// Logarithms of the events' slopes.
     log_slope: Vec<f32>,
@@ -73,42 +75,30 @@ pub(super) struct Table {
     /// At most so much of the blur's column is subtracted in addition to everything, below 0.
     softest: f64,
     /// Columns of the candidates.
-    columns: Vec<(usize, Column)>,
+    columns: Vec<(usize, EffectColumn)>,
     /// And of the free parameters of the scene.
-    free: Vec<Column>,
+    free: Vec<EffectColumn>,
     /// Held-out log-likelihood of an event's time, nats.
     pub nats_per_event: f64,
-    /// Noise of the events without what a picture that is too soft leaves.
+    /// Noise of the events, corrected for softness of the picture.
     pub noise: EventNoise,
-    pub fitted: Vec<(usize, Fitted)>,
+    pub fitted: Vec<(usize, FittedColumns)>,
 }
 
-/// What a picture that is too soft leaves looks like what too much blur in the event path would, with the
-/// other sign.
+/// Effect with the residual pattern of a picture that is too soft, with the other sign.
 const SOFTNESS: &str = "blur";
 
-/// Columns of effects at their sizes stand while those move by less than this share.
+/// Largest change of a size, as a share, for which its column is kept.
 const SAME_COLUMN: f64 = 0.05;
 
-/// What trials make of the rows.
-struct Evaluated {
-    /// Of the first trial; nothing where they are a table's.
-    events: Residuals,
-    frames: FrameValues,
-    /// Residuals for each trial: of events, then of frame values.
-    left: Vec<Vec<f32>>,
-    /// Logarithms of the events' slopes for each trial.
-    log_slope: Vec<Vec<f32>>,
-}
-
-impl Table {
-    fn rows(&self, is_sharp: bool) -> Rows<'_> {
-        let soft = self.of(SOFTNESS, "").filter(|_| !is_sharp).map(|column| Soft {
+impl ResidualTable {
+    fn rows(&self, is_sharp: bool) -> ResidualRows<'_> {
+        let soft = self.effect_column(SOFTNESS, "").filter(|_| !is_sharp).map(|column| SoftnessColumn {
             column: &column.of,
             log_slope: &column.log_slope,
             most: self.softest,
         });
-        Rows {
+        ResidualRows {
             slope: &self.slope,
             block: &self.block,
             events: self.events.pixel.len(),
@@ -119,17 +109,17 @@ impl Table {
     }
 
     /// The column of an effect's parameter, or of its first one.
-    fn of(&self, id: &str, parameter: &str) -> Option<&Column> {
+    fn effect_column(&self, id: &str, parameter: &str) -> Option<&EffectColumn> {
         let is_it = |n: usize| {
             CANDIDATES[n].id == id && (parameter.is_empty() || CANDIDATES[n].parameter == parameter)
         };
         self.columns.iter().find(|(n, _)| is_it(*n)).map(|(_, column)| column)
     }
 
-    /// Fits every column with what a picture that is too soft leaves, `softest` of it at most.
+    /// Fits every column together with softness of the picture, at most `softest`.
     pub(super) fn fit(&mut self, softest: f64) {
         self.softest = softest;
-        let plain = |is_sharp: bool| Plain::new(&self.base, self.rows(is_sharp));
+        let plain = |is_sharp: bool| NullFit::new(&self.base, self.rows(is_sharp));
         let (soft, sharp) = (plain(false), plain(true));
         let base = |n: usize| if CANDIDATES[n].id == SOFTNESS { &sharp } else { &soft };
         let nats_per_event = soft.nats_per_event(&self.log_slope);
@@ -144,7 +134,7 @@ impl Table {
     /// How much too soft the picture is: the size of the blur's column that events have too little of, 0 or
     /// below.
     pub(super) fn softness(&self) -> f64 {
-        let size = |(_, fitted): &(usize, Fitted)| fitted.size[0];
+        let size = |(_, fitted): &(usize, FittedColumns)| fitted.size[0];
         self.fitted.iter().find(|(n, _)| CANDIDATES[*n].id == SOFTNESS).map_or(0.0, size).min(0.0)
     }
 
@@ -153,50 +143,36 @@ impl Table {
         &self.base[..self.events.pixel.len()]
     }
 
-    /// The same without what a picture that is too soft leaves, or what free parameters of the scene explain.
+    /// The same, corrected for softness of the picture and for the free parameters of the scene.
     pub(super) fn sharp(&self) -> &[f64] {
         &self.sharp
     }
 
     /// Columns of the events that each pixel may have a size of its own of.
-    pub(super) fn of_pixels(&self) -> [Cow<'_, [f32]>; 2] {
+    pub(super) fn pixel_columns(&self) -> [Cow<'_, [f32]>; 2] {
         let events = self.events.pixel.len();
         OF_PIXELS.map(|(id, parameter)| {
-            self.of(id, parameter)
+            self.effect_column(id, parameter)
                 .map_or_else(|| Cow::Owned(vec![0.0; events]), |column| Cow::Borrowed(&column.of[..events]))
         })
     }
 }
 
-impl Evaluated {
-    /// What a step `by` of one trial from another one changes, for each size.
-    fn column(&self, trial: usize, from: usize, by: f64) -> Column {
-        let change = |values: &[Vec<f32>]| {
-            values[trial]
-                .iter()
-                .zip(&values[from])
-                .map(|(with, before)| (with - before) / by as f32)
-                .collect()
-        };
-        Column { of: change(&self.left), log_slope: change(&self.log_slope) }
-    }
-}
-
 /// Sizes of some effects together, and their gain over a table's residuals.
-pub(super) struct Refined {
+pub(super) struct RefinedSizes {
     pub effect_size: Vec<f64>,
     pub error: Vec<f64>,
     pub gain: f64,
     pub gain_error: f64,
     /// Residuals of events that they leave.
     pub left: Vec<f64>,
-    /// What each row gains by them.
+    /// Gain of each row by them.
     pub gains: Vec<f64>,
-    /// Where they leave the free parameters of the scene ([`Seen::by`]).
+    /// Where they leave the free parameters of the scene ([`SceneRecording::by`]).
     pub by: Vec<f64>,
 }
 
-/// Candidates whose columns each pixel may have a size of its own of: what [`SPREADS`] spread.
+/// Candidates whose size may differ per pixel: those that [`SPREADS`] spread.
 pub(super) static OF_PIXELS: LazyLock<[(&str, &str); 2]> = LazyLock::new(|| {
     let spread_of =
         |id: &str| CANDIDATES.iter().filter(|one| one.id == id).find_map(|one| one.sought.spread_of);
@@ -206,46 +182,50 @@ pub(super) static OF_PIXELS: LazyLock<[(&str, &str); 2]> = LazyLock::new(|| {
 /// Standard deviation of a free parameter of the scene within its range, as a share of it, before the
 /// recording.
 const OPEN: f64 = 0.3;
-/// A free parameter that moves by less than so many of its steps stands.
+/// Largest shift of a free parameter, in its steps, that counts as none.
 const NEAR: f64 = 2.0;
 /// And none moves by more than this share of its range at a time.
 const FARTHEST: f64 = 0.2;
 
-impl Seen<'_> {
+impl SceneRecording<'_> {
     /// The light of the pixels with each free parameter of the scene moved by a step from shares `by`.
-    pub(super) fn steps(&self, by: &[f64]) -> Vec<(f64, Light)> {
+    pub(super) fn steps(&self, by: &[f64]) -> Vec<(f64, LogLight)> {
         let Some(target) = self.source.target() else { return Vec::new() };
         let one = |(k, (_, step)): (usize, (f64, f64))| {
             let mut moved = by.to_vec();
             moved[k] += step;
-            Some((step, target.moved(self.case, self.light.step_ns, Some(&self.pixels), &moved)?))
+            Some((step, target.moved_light(self.case, self.light.step_ns, Some(&self.pixels), &moved)?))
         };
         target.free().into_iter().enumerate().filter_map(one).collect()
     }
 
-    /// What the free parameters of the scene change of each row seen through a trial, each per its standard
-    /// deviation before the recording; `near`: [`Seen::steps`].
+    /// Change of each row of a trial by the free parameters of the scene, per prior standard deviation.
+    /// `near`: [`SceneRecording::steps`].
     fn free(
         &self,
         trial: &Trial,
-        near: &[(f64, Light)],
-        table: Option<&Table>,
+        near: &[(f64, LogLight)],
+        table: Option<&ResidualTable>,
         base: &[f32],
         log_slope: &[f32],
-    ) -> Result<Vec<Column>, String> {
-        let one = |(step, light): &(f64, Light)| -> Result<Column, String> {
+    ) -> Result<Vec<EffectColumn>, String> {
+        let one = |(step, light): &(f64, LogLight)| -> Result<EffectColumn, String> {
             let found = self.evaluate_on(light, std::slice::from_ref(trial), table)?;
             let scale = (OPEN / step) as f32;
             let change = |then: &[f32], now: &[f32]| -> Vec<f32> {
                 then.iter().zip(now).map(|(then, now)| (then - now) * scale).collect()
             };
-            Ok(Column { of: change(&found.left[0], base), log_slope: change(&found.log_slope[0], log_slope) })
+            Ok(EffectColumn {
+                of: change(&found.left[0], base),
+                log_slope: change(&found.log_slope[0], log_slope),
+            })
         };
         near.iter().map(one).collect()
     }
 
-    /// Where sizes of what is free of the scene move it from shares `by`; none where that is nearly zero.
-    fn further(&self, by: &[f64], sizes: &[f64], trial: &Trial) -> Option<(Vec<f64>, Light)> {
+    /// The free parameters, and their light, moved from shares `by` by sizes; `None` where that is nearly
+    /// zero.
+    fn move_free_parameters(&self, by: &[f64], sizes: &[f64], trial: &Trial) -> Option<(Vec<f64>, LogLight)> {
         let target = self.source.target()?;
         let free = target.free();
         let far = |(size, (_, step)): (&f64, &(f64, f64))| (OPEN * size).abs() > NEAR * step.abs();
@@ -261,34 +241,40 @@ impl Seen<'_> {
             return None;
         }
         // Neighbours are seen where the event path mixes them.
-        let is_mixed = Prepared::new(self.case, trial).map_or(true, |prepared| prepared.kernel().is_some());
-        let light =
-            target.moved(self.case, self.light.step_ns, (!is_mixed).then_some(&self.pixels[..]), &moved)?;
+        let is_mixed =
+            PreparedTrial::new(self.case, trial).map_or(true, |prepared| prepared.kernel().is_some());
+        let light = target.moved_light(
+            self.case,
+            self.light.step_ns,
+            (!is_mixed).then_some(&self.pixels[..]),
+            &moved,
+        )?;
         Some((moved, light))
     }
 
-    /// What trials make of events: those of a table, or those that count by the first trial.
-    fn evaluate(&self, trials: &[Trial], table: Option<&Table>) -> Result<Evaluated, String> {
+    /// Residuals of trials for events: those of a table, or those that are evaluable by the first trial.
+    fn evaluate(&self, trials: &[Trial], table: Option<&ResidualTable>) -> Result<EvaluatedTrials, String> {
         self.evaluate_on(&self.light, trials, table)
     }
 
     fn evaluate_on(
         &self,
-        light: &Light,
+        light: &LogLight,
         trials: &[Trial],
-        table: Option<&Table>,
-    ) -> Result<Evaluated, String> {
-        let view = View { case: self.case, light, pixels: self.pixels.clone(), is_known: self.is_known };
+        table: Option<&ResidualTable>,
+    ) -> Result<EvaluatedTrials, String> {
+        let view =
+            SampleView { case: self.case, light, pixels: self.pixels.clone(), is_known: self.is_known };
         let (events, of_trials) = match table {
-            Some(table) => (Cow::Borrowed(&table.events), view.of_events(trials, &table.events)?),
+            Some(table) => (Cow::Borrowed(&table.events), view.evaluate_trials(trials, &table.events)?),
             None => {
                 let (events, of_trials) =
-                    view.residuals(trials, |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
+                    view.residuals(trials, |pixel, t_ns| self.gate.accepts(pixel, t_ns))?;
                 (Cow::Owned(events), of_trials)
             }
         };
         let mut slopes: Vec<f64> = events.slope_per_s.iter().map(|slope| slope.abs()).collect();
-        // A voltage that hardly moves says little of when an event comes; on the way to one it takes a
+        // A voltage that hardly moves hardly determines when an event comes; on the way to one it takes a
         // threshold within the recording.
         let least =
             LEAST_SLOPE * f64::max(median(&mut slopes), self.scales.threshold / self.scales.duration_s);
@@ -307,7 +293,7 @@ impl Seen<'_> {
         }
         let mut frames = FrameValues::default();
         if self.is_known {
-            // Which values are looked at is the first one's business.
+            // The first one selects the values that are evaluated.
             let first = table.map(|table| table.trial.clone());
             let all: Vec<Trial> = first.iter().chain(trials).cloned().collect();
             let mut of_frames;
@@ -315,8 +301,8 @@ impl Seen<'_> {
             of_frames.drain(..all.len() - trials.len());
             left.iter_mut().zip(of_frames).for_each(|(left, of_frames)| left.extend(of_frames));
         }
-        Ok(Evaluated {
-            events: if table.is_none() { events.into_owned() } else { Residuals::default() },
+        Ok(EvaluatedTrials {
+            events: if table.is_none() { events.into_owned() } else { EventResiduals::default() },
             frames,
             left,
             log_slope,
@@ -325,46 +311,62 @@ impl Seen<'_> {
 
     /// The share of the squares of residuals that is noise of pixels ([`white_share`]), on more events than
     /// are fitted.
-    pub(super) fn white(&self, trial: &Trial, source: &dyn Scene) -> Result<f64, String> {
+    pub(super) fn noise_share(&self, trial: &Trial, source: &dyn Scene) -> Result<f64, String> {
         if self.is_known {
             return Ok(1.0);
         }
-        let view = View { case: self.case, light: &self.light, pixels: self.more.clone(), is_known: false };
+        let view =
+            SampleView { case: self.case, light: &self.light, pixels: self.more.clone(), is_known: false };
         let (events, _) =
-            view.residuals(std::slice::from_ref(trial), |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
+            view.residuals(std::slice::from_ref(trial), |pixel, t_ns| self.gate.accepts(pixel, t_ns))?;
         let cell = |(pixel, t_ns): (&u32, &i64)| source.cell(self.case, *pixel as usize, *t_ns, CELL);
-        let cells: Vec<Cell> = events.pixel.iter().zip(&events.t_ns).map(cell).collect();
+        let cells: Vec<SceneCell> = events.pixel.iter().zip(&events.t_ns).map(cell).collect();
         Ok(white_share((&events.pixel, &events.polarity), &events.excess, &cells))
     }
 
     /// Covariates of the events of a table, and of its frame values.
-    pub(super) fn lay(&self, table: &Table, nominal: &Nominal, rhythm: Option<Rhythm>) -> [Vec<Laid>; 2] {
+    pub(super) fn covariates_of_rows(
+        &self,
+        table: &ResidualTable,
+        nominal: &Nominal,
+        rhythm: Option<ResidualRhythm>,
+    ) -> [Vec<CovariateColumns>; 2] {
         let front_end = nominal.pixel.front_end;
         let light = Box::new(|pixel: usize, t_ns: i64| self.light.at(pixel, t_ns));
         let constants = (front_end.tau_0_s, front_end.alpha_s);
-        let mut surroundings = Surroundings::of(self.case, light, self.case.extent.pixels(), constants);
+        let mut surroundings =
+            CovariateSource::from_light(self.case, light, self.case.extent.pixels(), constants);
         let FrameValues { pixel, t_ns, .. } = table.frames.clone();
         let count = pixel.len();
-        let values = Residuals {
+        let values = EventResiduals {
             pixel,
             t_ns,
             polarity: vec![1; count],
             previous: vec![1; count],
             since_ns: vec![0; count],
-            ..Residuals::default()
+            ..EventResiduals::default()
         };
-        let mut of_frames = if count > 0 { lay(&values, &mut surroundings, None) } else { Vec::new() };
+        let mut of_frames =
+            if count > 0 { covariate_columns(&values, &mut surroundings, None) } else { Vec::new() };
         of_frames.retain(|laid| Covariate::OF_FRAMES.contains(&laid.covariate));
-        [lay(&table.events, &mut surroundings, rhythm), of_frames]
+        [covariate_columns(&table.events, &mut surroundings, rhythm), of_frames]
     }
 
-    /// What gains over the residuals of a table are located on.
-    pub(super) fn places<'t>(&'t self, table: &'t Table, laid: &[Vec<Laid>; 2]) -> Places<'t> {
-        Places::new(self.case, &table.events, &table.frames, &table.block, laid, &self.setting.located)
+    /// Data for locating gains over a table's residuals.
+    pub(super) fn gain_locator<'t>(
+        &'t self,
+        table: &'t ResidualTable,
+        laid: &[Vec<CovariateColumns>; 2],
+    ) -> GainLocator<'t> {
+        GainLocator::new(self.case, &table.events, &table.frames, &table.block, laid, &self.setting.located)
     }
 
-    /// What no effect of the catalogue has, on the residuals of a table.
-    pub(super) fn dependences(&self, table: &Table, laid: &[Laid]) -> Vec<Open> {
+    /// Uncatalogued curves on the residuals of a table.
+    pub(super) fn dependences(
+        &self,
+        table: &ResidualTable,
+        laid: &[CovariateColumns],
+    ) -> Vec<CovariateCurve> {
         open::dependences(
             &table.events,
             table.sharp(),
@@ -378,16 +380,16 @@ impl Seen<'_> {
     /// Where the best of them is.
     pub(super) fn locate_dependence(
         &self,
-        table: &Table,
-        laid: &[Laid],
-        places: &Places<'_>,
-        best: &mut Open,
+        table: &ResidualTable,
+        laid: &[CovariateColumns],
+        places: &GainLocator<'_>,
+        best: &mut CovariateCurve,
     ) {
         let (events, block) = (&table.events, &table.block[..table.events.pixel.len()]);
         let (threshold, sharp) = (self.scales.threshold, table.sharp());
         best.dependence.formulas =
             formulas(events, sharp, block, laid, &best.dependence, threshold, self.least);
-        let after = open::after(
+        let after = open::apply_curve(
             events,
             table.sharp(),
             block,
@@ -410,16 +412,22 @@ impl Seen<'_> {
 
     /// First-order fits of every effect on top of a sensor, but for one candidate; with a picture that is too
     /// soft by `softest` at most.
-    pub(super) fn table(&self, trial: &Trial, without: Option<usize>, softest: f64) -> Result<Table, String> {
+    pub(super) fn table(
+        &self,
+        trial: &Trial,
+        without: Option<usize>,
+        softest: f64,
+    ) -> Result<ResidualTable, String> {
         // One that cannot be combined with what is there is no candidate.
-        let can_be =
-            |n: &usize| Prepared::new(self.case, &trial.and(&CANDIDATES[*n], probe(*n), self.scales)).is_ok();
+        let can_be = |n: &usize| {
+            PreparedTrial::new(self.case, &trial.with_effect(&CANDIDATES[*n], probe(*n), self.scales)).is_ok()
+        };
         let chosen: Vec<usize> = (0..CANDIDATES.len())
             .filter(|&n| !CANDIDATES[n].is_random && Some(n) != without)
             .filter(can_be)
             .collect();
         let mut trials = vec![trial.clone()];
-        trials.extend(chosen.iter().map(|&n| trial.and(&CANDIDATES[n], probe(n), self.scales)));
+        trials.extend(chosen.iter().map(|&n| trial.with_effect(&CANDIDATES[n], probe(n), self.scales)));
         let found = self.evaluate(&trials, None)?;
         let block: Vec<u32> = found
             .events
@@ -433,8 +441,8 @@ impl Seen<'_> {
         let columns =
             chosen.iter().enumerate().map(|(k, &n)| (n, found.column(1 + k, 0, probe(n)))).collect();
         let free = self.free(trial, &self.near, None, &found.left[0], &found.log_slope[0])?;
-        let Evaluated { events, frames, left, mut log_slope } = found;
-        let mut table = Table {
+        let EvaluatedTrials { events, frames, left, mut log_slope } = found;
+        let mut table = ResidualTable {
             trial: trial.clone(),
             events,
             frames,
@@ -460,10 +468,10 @@ impl Seen<'_> {
     pub(super) fn refine(
         &self,
         trial: &Trial,
-        table: &Table,
+        table: &ResidualTable,
         which: &[usize],
         begin: &[f64],
-    ) -> Result<Refined, String> {
+    ) -> Result<RefinedSizes, String> {
         let put = |effect_sizes: &[f64]| self.with_effects(trial, which, effect_sizes);
         let is_free: Vec<bool> = which.iter().map(|&n| CANDIDATES[n].signs != Signs::Switch).collect();
         let mut effect_size: Vec<f64> = (0..which.len())
@@ -476,9 +484,9 @@ impl Seen<'_> {
         let rounds = if free.is_empty() && !is_open { 0 } else { self.setting.rounds * which.len() };
         let (mut by, mut light, mut near) =
             (self.by.clone(), Cow::Borrowed(&self.light), Cow::Borrowed(&self.near[..]));
-        let mut open: Option<Vec<Column>> = None;
+        let mut open: Option<Vec<EffectColumn>> = None;
         // Columns, and the sizes that they were taken at.
-        let mut known: Option<(Vec<Column>, Vec<f64>)> = None;
+        let mut known: Option<(Vec<EffectColumn>, Vec<f64>)> = None;
         for _ in 0..rounds {
             let is_known = known.as_ref().is_some_and(|(_, at)| self.is_near(at, &effect_size));
             let further: Vec<f64> =
@@ -492,20 +500,20 @@ impl Seen<'_> {
                     effect_size.clone(),
                 ));
             }
-            let columns: Vec<&Column> = known.iter().flat_map(|(columns, _)| columns).collect();
+            let columns: Vec<&EffectColumn> = known.iter().flat_map(|(columns, _)| columns).collect();
             let open_now = match open.take() {
                 Some(open) => open,
                 None => self.free(&trials[0], &near, Some(table), &found.left[0], &found.log_slope[0])?,
             };
-            let rows = Rows { free: &open_now, ..rows };
-            let step = heldout(&Plain::new(&wide(&found.left[0]), rows), &columns);
+            let rows = ResidualRows { free: &open_now, ..rows };
+            let step = heldout(&NullFit::new(&wide(&found.left[0]), rows), &columns);
             let mut is_still = true;
             for (n, &i) in free.iter().enumerate() {
-                let next = self.next(which[i], effect_size[i], step.size[n]);
+                let next = self.next_effect_size(which[i], effect_size[i], step.size[n]);
                 is_still &= (next - effect_size[i]).abs() < STILL * f64::max(effect_size[i].abs(), PROBE);
                 (effect_size[i], error[i]) = (next, step.error[n]);
             }
-            if let Some((moved, there)) = self.further(&by, &step.free, &trials[0]) {
+            if let Some((moved, there)) = self.move_free_parameters(&by, &step.free, &trials[0]) {
                 near = Cow::Owned(self.steps(&moved));
                 known = None;
                 (by, light, is_still) = (moved, Cow::Owned(there), false);
@@ -522,23 +530,23 @@ impl Seen<'_> {
         } else {
             Vec::new()
         };
-        let with_rows = Rows { free: &open, ..rows };
+        let with_rows = ResidualRows { free: &open, ..rows };
         let mut left = wide(&found.left[0]);
-        let before = Rest { residual: &table.base, log_slope: &table.log_slope, rows: &rows };
-        let with = Rest { residual: &left, log_slope: &found.log_slope[0], rows: &with_rows };
+        let before = ResidualsAndSlopes { residual: &table.base, log_slope: &table.log_slope, rows: &rows };
+        let with = ResidualsAndSlopes { residual: &left, log_slope: &found.log_slope[0], rows: &with_rows };
         let (gain, gain_error) = gain_of(before, with);
-        let gains = gains(before, with);
+        let gains = row_gains(before, with);
         if is_open {
             left = without_softness(&left, &with_rows);
         }
         left.truncate(table.events.pixel.len());
-        Ok(Refined { effect_size, error, gain, gain_error, left, gains, by })
+        Ok(RefinedSizes { effect_size, error, gain, gain_error, left, gains, by })
     }
 
     /// A sensor with more effects, each of its size.
     fn with_effects(&self, trial: &Trial, which: &[usize], effect_sizes: &[f64]) -> Trial {
         which.iter().zip(effect_sizes).fold(trial.clone(), |trial, (&n, &effect_size)| {
-            trial.and(&CANDIDATES[n], effect_size, self.scales)
+            trial.with_effect(&CANDIDATES[n], effect_size, self.scales)
         })
     }
 
@@ -565,8 +573,8 @@ impl Seen<'_> {
         at.iter().zip(now).all(|(at, now)| (now - at).abs() < SAME_COLUMN * f64::max(now.abs(), PROBE))
     }
 
-    /// The effect size after a step of a fit, which goes no further than the size itself and 1 more.
-    fn next(&self, candidate: usize, effect_size: f64, step: f64) -> f64 {
+    /// The effect size after a step of a fit, which is limited to the size itself plus 1.
+    fn next_effect_size(&self, candidate: usize, effect_size: f64, step: f64) -> f64 {
         let most = 1.0 + effect_size.abs();
         self.bounded(candidate, effect_size + step.clamp(-most, most))
     }
@@ -583,25 +591,23 @@ impl Seen<'_> {
     pub(super) fn rank(
         &self,
         bare: &Trial,
-        table: &Table,
-        control: &Table,
+        table: &ResidualTable,
+        control: &ResidualTable,
         first: Option<(usize, f64)>,
         refined: usize,
         nominal: &Nominal,
-        places: &Places<'_>,
-    ) -> Result<Vec<Ranked>, String> {
-        let mut ranked: Vec<Ranked> = table
+        places: &GainLocator<'_>,
+    ) -> Result<Vec<RankedEffect>, String> {
+        let mut ranked: Vec<RankedEffect> = table
             .fitted
             .iter()
             .map(|(candidate, fitted)| self.first_order(*candidate, fitted, control, nominal))
             .collect();
-        ranked.sort_by(Ranked::by_gain);
-        let best = ranked.first().map_or(0.0, Ranked::beyond);
-        for one in ranked
-            .iter_mut()
-            .take(refined)
-            .filter(|one| one.beyond() > WORTH_REFINING * best && one.beyond() > 0.0)
-        {
+        ranked.sort_by(RankedEffect::by_gain);
+        let best = ranked.first().map_or(0.0, RankedEffect::gain_beyond_control);
+        for one in ranked.iter_mut().take(refined).filter(|one| {
+            one.gain_beyond_control() > WORTH_REFINING * best && one.gain_beyond_control() > 0.0
+        }) {
             let begin = one.effect_size + one.control_effect_size;
             let found = match first {
                 Some((other, effect_size)) => {
@@ -621,17 +627,23 @@ impl Seen<'_> {
             one.located = Some(places.locate(&found.gains, one.candidate));
             one.by = found.by;
         }
-        ranked.sort_by(Ranked::by_gain);
+        ranked.sort_by(RankedEffect::by_gain);
         Ok(ranked)
     }
 
-    fn first_order(&self, candidate: usize, fitted: &Fitted, control: &Table, nominal: &Nominal) -> Ranked {
-        let none = Fitted { size: vec![0.0], error: vec![0.0], ..Fitted::default() };
+    fn first_order(
+        &self,
+        candidate: usize,
+        fitted: &FittedColumns,
+        control: &ResidualTable,
+        nominal: &Nominal,
+    ) -> RankedEffect {
+        let none = FittedColumns { size: vec![0.0], error: vec![0.0], ..FittedColumns::default() };
         let control =
             control.fitted.iter().find(|(n, _)| *n == candidate).map_or(&none, |(_, fitted)| fitted);
-        let gain = |of: &Fitted| if is_physics(candidate, of.size[0]) { of.gain } else { 0.0 };
+        let gain = |of: &FittedColumns| if is_physics(candidate, of.size[0]) { of.gain } else { 0.0 };
         let effect_size = fitted.size[0] - control.size[0];
-        Ranked {
+        RankedEffect {
             candidate,
             effect_size,
             error: fitted.error[0],
@@ -643,7 +655,7 @@ impl Seen<'_> {
                 - CANDIDATES[candidate].nominal_value(nominal),
             control_gain: gain(control).max(0.0),
             control_effect_size: control.size[0],
-            ..Ranked::default()
+            ..RankedEffect::default()
         }
     }
 }

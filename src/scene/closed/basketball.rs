@@ -5,7 +5,7 @@
 //! by the spin to find what is there. Outline and seams are anti-aliased by coverage; light comes from above
 //! left.
 
-use super::shapes::{arrival, blend, bounce, covered, hypot, turning};
+use super::shapes::{arrival, blend, bounce, covered, hypot, radians_per_ns};
 use super::surface::Texture;
 use super::{ClosedScene, DARKEST};
 use photocurrent_core::Extent;
@@ -94,7 +94,7 @@ impl Basketball {
             start: width * (0.25 + 0.25 * random.uniform()),
             speed: params.speed * 1e-6,
             bounce_ns: params.bounce.ns() as f64,
-            spin: turning(params.spin),
+            spin: radians_per_ns(params.spin),
             axis,
             skin: Texture::new(PEBBLES.0, PEBBLES.1, seed, 2),
             wall: Texture::new(0.1, 0.6, seed, 1),

@@ -4,7 +4,7 @@
 //! form.
 
 use super::ClosedScene;
-use super::shapes::{arrival, blend, hypot, middle, stripes, to_border, turned, turning};
+use super::shapes::{arrival, blend, hypot, picture_centre, radians_per_ns, rotate, stripes, to_border};
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Rotation;
 use schemars::JsonSchema;
@@ -55,11 +55,11 @@ impl Checkerboard {
         let heading = 20f64.to_radians();
         let speed = params.speed * 1e-6;
         Checkerboard {
-            centre: middle(extent),
+            centre: picture_centre(extent),
             square: params.square,
             velocity: (speed * libm::cos(heading), speed * libm::sin(heading)),
             angle: params.angle.to_radians(),
-            turning: turning(params.turning),
+            turning: radians_per_ns(params.turning),
         }
     }
 
@@ -68,7 +68,7 @@ impl Checkerboard {
     fn on_board(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
         let t = t_ns as f64;
         let angle = -(self.angle + self.turning * t);
-        let (u, v) = turned((x - self.centre.0, y - self.centre.1), (libm::sin(angle), libm::cos(angle)));
+        let (u, v) = rotate((x - self.centre.0, y - self.centre.1), (libm::sin(angle), libm::cos(angle)));
         ((u - self.velocity.0 * t) / self.square, (v - self.velocity.1 * t) / self.square)
     }
 }

@@ -57,15 +57,15 @@ impl ColourWheel {
     }
 
     /// Distance from the middle, and the place in sectors, at least 0.
-    fn place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
+    fn polar_place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
         let (distance, angle) = self.disk.polar(x, y, t_ns);
         (distance, (angle / TAU).rem_euclid(1.0) * self.disk.parts)
     }
 
     /// Mean over a pixel of `of` each colour.
     fn mean(&self, x: f64, y: f64, t_ns: i64, of: impl Fn(&[f64; 3]) -> f64) -> f64 {
-        let (distance, at) = self.place(x, y, t_ns);
-        let inside = self.disk.inside(distance);
+        let (distance, at) = self.polar_place(x, y, t_ns);
+        let inside = self.disk.coverage(distance);
         if inside == 0.0 {
             return WALL;
         }
@@ -97,7 +97,7 @@ impl ClosedScene for ColourWheel {
     }
 
     fn still_until(&self, x: f64, y: f64, t_ns: i64) -> i64 {
-        self.disk.still_until(self.place(x, y, t_ns), t_ns)
+        self.disk.still_until(self.polar_place(x, y, t_ns), t_ns)
     }
 }
 

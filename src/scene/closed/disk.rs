@@ -1,6 +1,6 @@
-//! A disk that turns before a wall: what scenes with parts around a middle share.
+//! A rotating disk before a wall: shared by scenes with sectors around a centre.
 
-use super::shapes::{arrival, covered, hypot, middle, to_border, turning};
+use super::shapes::{arrival, covered, hypot, picture_centre, radians_per_ns, to_border};
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Rotation;
 use std::f64::consts::TAU;
@@ -22,10 +22,10 @@ impl Disk {
     /// With `radius` a part of the picture's shorter side.
     pub(super) fn new(extent: Extent, radius: f64, parts: f64, speed: Rotation) -> Disk {
         Disk {
-            centre: middle(extent),
+            centre: picture_centre(extent),
             radius: radius * f64::from(extent.width.min(extent.height)),
             parts,
-            turning: turning(speed),
+            turning: radians_per_ns(speed),
         }
     }
 
@@ -35,8 +35,8 @@ impl Disk {
         (hypot(dx, dy), libm::atan2(dy, dx) - self.turning * t_ns as f64)
     }
 
-    /// How much of a pixel so far from the middle is on the disk.
-    pub(super) fn inside(&self, distance: f64) -> f64 {
+    /// Share of a pixel at a distance from the centre that the disk covers.
+    pub(super) fn coverage(&self, distance: f64) -> f64 {
         covered(distance - self.radius)
     }
 
@@ -50,8 +50,8 @@ impl Disk {
         self.turning * hypot(x - self.centre.0, y - self.centre.1).clamp(1.0, self.radius + 1.0)
     }
 
-    /// When the next border between parts may come to a pixel that is so far from the middle, and at `at` in
-    /// parts.
+    /// The earliest instant, ns, at which a border between parts can reach a pixel at this distance from the
+    /// centre and place `at` in parts.
     pub(super) fn still_until(&self, (distance, at): (f64, f64), t_ns: i64) -> i64 {
         if distance >= self.radius + 0.5 {
             return i64::MAX;

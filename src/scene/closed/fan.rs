@@ -63,7 +63,7 @@ impl Fan {
 
     /// Distance from the centre, and the place between blades: 0 to `cover` is on the blade whose number
     /// comes third.
-    fn place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64, f64) {
+    fn blade_place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64, f64) {
         let (distance, angle) = self.disk.polar(x, y, t_ns);
         let at = (angle + BEND * distance / self.disk.radius) / TAU * self.disk.parts;
         (distance, at - at.floor(), at.floor().rem_euclid(self.disk.parts))
@@ -77,10 +77,10 @@ impl Fan {
 
 impl ClosedScene for Fan {
     fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
-        let (distance, part, blade) = self.place(x, y, t_ns);
+        let (distance, part, blade) = self.blade_place(x, y, t_ns);
         let wall = self.wall.at(x, y);
         let hub = covered(distance - HUB * self.disk.radius);
-        let reach = self.disk.inside(distance);
+        let reach = self.disk.coverage(distance);
         if reach == 0.0 {
             return wall;
         }
@@ -104,7 +104,7 @@ impl ClosedScene for Fan {
     }
 
     fn still_until(&self, x: f64, y: f64, t_ns: i64) -> i64 {
-        let (distance, part, _) = self.place(x, y, t_ns);
+        let (distance, part, _) = self.blade_place(x, y, t_ns);
         if distance > self.disk.radius + 0.5 || distance < HUB * self.disk.radius - 0.5 {
             return i64::MAX;
         }
@@ -127,8 +127,8 @@ mod tests {
         // 200 turns per second and five blades: one blade further every millisecond.
         let (x, y) = (fan.disk.centre.0 + 14.0, fan.disk.centre.1 - 5.0);
         for t in [0, 137_000, 420_000] {
-            let (_, now, blade) = fan.place(x, y, t);
-            let (_, then, next) = fan.place(x, y, t + 1_000_000);
+            let (_, now, blade) = fan.blade_place(x, y, t);
+            let (_, then, next) = fan.blade_place(x, y, t + 1_000_000);
             assert!((now - then).abs() < 1e-6, "{now} against {then}");
             // Blades turn forwards, so a place falls back by one.
             assert_eq!((next + 1.0).rem_euclid(5.0), blade);

@@ -1,14 +1,14 @@
-//! Scenes in closed form: linear light that is known at any place and instant, for the simulator, for known
-//! targets and for recordings that a diagnosis is calibrated on.
+//! Scenes in closed form: linear light at any place and instant, for the simulator, for known targets and for
+//! the recordings of a diagnosis' calibration.
 //!
-//! Pixels are unit squares with their centre at whole numbers, `x` to the right and `y` down. What has edges
-//! is anti-aliased: a scene gives the mean over a pixel, from coverage in closed form, so that an edge that
-//! crosses a pixel makes a ramp and not a jump. Two bounds make sampling quick: how fast things move, and
-//! until when nothing changes.
+//! Pixels are unit squares with their centre at whole numbers, `x` to the right and `y` down. Edges are
+//! anti-aliased: a scene returns the mean over a pixel, from coverage in closed form, so that an edge that
+//! crosses a pixel makes a ramp and not a jump. Two bounds make sampling quick: the largest speed, and the
+//! time without changes.
 //!
 //! Every scene is one file: its parameters, its struct, its tests; [`sketch`] has those with edges of a
 //! stated width, for random parameters. [`shapes`] has outlines and motions, [`surface`] random surfaces.
-//! What is random comes from the seed alone.
+//! Random values come from the seed alone.
 
 pub mod basketball;
 pub mod checkerboard;
@@ -24,7 +24,7 @@ pub mod slingshot_egg;
 pub mod surface;
 pub mod texture;
 
-use crate::light::Knots;
+use crate::light::LightKnots;
 
 /// The darkest and the brightest reflectance of any scene: black felt and white paper.
 pub const DARKEST: f64 = 0.03;
@@ -37,8 +37,8 @@ pub trait ClosedScene: Send + Sync {
     /// [`BRIGHTEST`]; photocurrent of a scene before a sensor.
     fn light(&self, x: f64, y: f64, t_ns: i64) -> f64;
 
-    /// The same behind a filter of red (0), green (1) or blue (2); grey things look alike behind each. Both
-    /// bounds hold for it, too.
+    /// The same behind a filter of red (0), green (1) or blue (2); equal for grey objects. Both bounds hold
+    /// for it, too.
     fn channel(&self, _channel: usize, x: f64, y: f64, t_ns: i64) -> f64 {
         self.light(x, y, t_ns)
     }
@@ -54,7 +54,7 @@ pub trait ClosedScene: Send + Sync {
     }
 
     /// The pixel's light between two instants, linear between knots.
-    fn knots(&self, x: f64, y: f64, span: (i64, i64)) -> Knots {
+    fn knots(&self, x: f64, y: f64, span: (i64, i64)) -> LightKnots {
         /// A pixel's light hardly bends while the scene moves so far, pixels; and not more often than this,
         /// ns.
         const STEP: (f64, i64) = (0.1, 25_000);

@@ -38,7 +38,7 @@ impl Default for RunningManParams {
 /// Poses in a stride.
 const POSES: usize = 512;
 
-type Place = (f64, f64);
+type FigurePoint = (f64, f64);
 
 /// A limb: from joint to joint, half its thickness in heights of the figure, its grey. From the back to the
 /// front.
@@ -69,7 +69,7 @@ const JOINTS: usize = 12;
 
 /// Where the joints are at a phase of the stride, in heights of the figure from the ground below its hip; up
 /// is negative.
-fn pose(phase: f64) -> [Place; JOINTS] {
+fn joint_positions(phase: f64) -> [FigurePoint; JOINTS] {
     let mut joints = [(0.0, 0.0); JOINTS];
     joints[HIP] = (0.0, -0.50 - 0.02 * libm::cos(2.0 * phase));
     joints[NECK] = bone(joints[HIP], -0.30, -0.15);
@@ -92,7 +92,7 @@ fn pose(phase: f64) -> [Place; JOINTS] {
 
 /// The scene.
 pub struct RunningMan {
-    poses: Vec<[Place; JOINTS]>,
+    poses: Vec<[FigurePoint; JOINTS]>,
     height: f64,
     ground: f64,
     start: f64,
@@ -112,8 +112,10 @@ impl RunningMan {
         let figure = params.height * width.min(height);
         let mut random = Random::new(seed, &[0]);
         let first = TAU * random.uniform();
-        let poses: Vec<[Place; JOINTS]> = (0..POSES)
-            .map(|k| pose(first + TAU * k as f64 / POSES as f64).map(|(x, y)| (x * figure, y * figure)))
+        let poses: Vec<[FigurePoint; JOINTS]> = (0..POSES)
+            .map(|k| {
+                joint_positions(first + TAU * k as f64 / POSES as f64).map(|(x, y)| (x * figure, y * figure))
+            })
             .collect();
         let stride_ns = params.stride.ns() as f64;
         let step_ns = stride_ns / POSES as f64;
@@ -140,18 +142,18 @@ impl RunningMan {
     }
 
     /// A place as seen from the figure's ground point; of the figure and its repetitions, the nearest counts.
-    fn in_figure(&self, x: f64, y: f64, t_ns: i64) -> Place {
+    fn in_figure(&self, x: f64, y: f64, t_ns: i64) -> FigurePoint {
         let dx = x - self.start - self.speed * t_ns as f64;
         (dx - self.span * (dx / self.span).round(), y - self.ground)
     }
 
     /// Is a place far enough that no limb can be near, and how far?
-    fn aside(&self, place: Place) -> f64 {
+    fn distance_outside(&self, place: FigurePoint) -> f64 {
         hypot(place.0, place.1 + 0.5 * self.height) - 0.62 * self.height
     }
 
     /// Signed distances to the limbs from back to front.
-    fn distances(&self, place: Place, t_ns: i64) -> [f64; LIMBS.len()] {
+    fn distances(&self, place: FigurePoint, t_ns: i64) -> [f64; LIMBS.len()] {
         let at = (t_ns as f64 / self.stride_ns).rem_euclid(1.0) * POSES as f64;
         let (whole, part) = (at as usize % POSES, at - at.floor());
         let (now, next) = (&self.poses[whole], &self.poses[(whole + 1) % POSES]);
@@ -167,7 +169,7 @@ impl ClosedScene for RunningMan {
     fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         let wall = self.wall.at(x, y);
         let place = self.in_figure(x, y, t_ns);
-        if self.aside(place) > 0.5 {
+        if self.distance_outside(place) > 0.5 {
             return wall;
         }
         let limbs = self.distances(place, t_ns).into_iter().zip(LIMBS);
@@ -180,7 +182,7 @@ impl ClosedScene for RunningMan {
 
     fn still_until(&self, x: f64, y: f64, t_ns: i64) -> i64 {
         let place = self.in_figure(x, y, t_ns);
-        let aside = self.aside(place);
+        let aside = self.distance_outside(place);
         if aside > 2.0 {
             return arrival(t_ns, aside, self.speed);
         }
@@ -198,7 +200,7 @@ mod tests {
     #[test]
     fn bones_keep_their_length_and_stay_in_the_figures_circle() {
         for k in 0..200 {
-            let joints = pose(TAU * f64::from(k) / 200.0);
+            let joints = joint_positions(TAU * f64::from(k) / 200.0);
             let length = |a: usize, b: usize| hypot(joints[a].0 - joints[b].0, joints[a].1 - joints[b].1);
             assert!(
                 (length(HIP, NEAR_KNEE) - 0.24).abs() < 1e-12
@@ -214,7 +216,7 @@ mod tests {
 
     #[test]
     fn legs_move_in_opposite_phase() {
-        let (now, later) = (pose(0.8), pose(0.8 + PI));
+        let (now, later) = (joint_positions(0.8), joint_positions(0.8 + PI));
         assert!((now[NEAR_KNEE].0 - later[FAR_KNEE].0).abs() < 1e-12);
     }
 

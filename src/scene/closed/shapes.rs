@@ -1,4 +1,4 @@
-//! What scenes are made of: edges and stripes averaged over a pixel, lines, places that move.
+//! Elements of scenes: edges and stripes averaged over a pixel, lines, moving points.
 //!
 //! Anti-aliasing is along the edge's normal: an edge covers a pixel from none to all while it moves by one
 //! pixel. That is exact for edges along rows or columns and keeps the mean for all others (the ramp is a
@@ -11,11 +11,11 @@ use std::f64::consts::TAU;
 /// How much of a pixel lies inside a shape, 0 to 1, from the signed distance of its centre to the outline,
 /// pixels; positive is outside.
 pub fn covered(distance: f64) -> f64 {
-    inside(-distance, 0.5)
+    coverage_at_depth(-distance, 0.5)
 }
 
 /// The same from how deep within the outline the centre lies, pixels, of an edge so wide on either side.
-pub fn inside(depth: f64, edge: f64) -> f64 {
+pub fn coverage_at_depth(depth: f64, edge: f64) -> f64 {
     (0.5 + 0.5 * depth / edge).clamp(0.0, 1.0)
 }
 
@@ -49,7 +49,7 @@ pub fn bounce(at: f64, low: f64, high: f64) -> f64 {
 
 /// (x, y) turned by an angle given as (sine, cosine); with `y` down, a positive angle is clockwise on the
 /// screen.
-pub fn turned((x, y): (f64, f64), (sine, cosine): (f64, f64)) -> (f64, f64) {
+pub fn rotate((x, y): (f64, f64), (sine, cosine): (f64, f64)) -> (f64, f64) {
     (x * cosine - y * sine, x * sine + y * cosine)
 }
 
@@ -74,18 +74,19 @@ pub fn from_line((x, y): (f64, f64), a: (f64, f64), b: (f64, f64)) -> (f64, f64)
     (x - a.0 - share * along_x, y - a.1 - share * along_y)
 }
 
-/// Where a bone of a length ends: it hangs down at angle 0 and swings to the right for positive ones, rad.
+/// End point of a bone of a length at an angle, rad: it hangs down at 0 and swings to the right for positive
+/// angles.
 pub fn bone(from: (f64, f64), length: f64, angle: f64) -> (f64, f64) {
     (from.0 + length * libm::sin(angle), from.1 + length * libm::cos(angle))
 }
 
 /// The middle of a picture.
-pub fn middle(extent: Extent) -> (f64, f64) {
+pub fn picture_centre(extent: Extent) -> (f64, f64) {
     (f64::from(extent.width - 1) / 2.0, f64::from(extent.height - 1) / 2.0)
 }
 
-/// Radians per nanosecond.
-pub fn turning(speed: Rotation) -> f64 {
+/// Angular speed, radians per nanosecond.
+pub fn radians_per_ns(speed: Rotation) -> f64 {
     TAU * speed.turns_per_s() * 1e-9
 }
 

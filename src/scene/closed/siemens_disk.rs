@@ -58,7 +58,7 @@ impl SiemensDisk {
     }
 
     /// Distance from the middle, and the place in stripes.
-    fn place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
+    fn polar_place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
         let (distance, angle) = self.disk.polar(x, y, t_ns);
         (distance, angle / TAU * self.disk.parts)
     }
@@ -66,8 +66,8 @@ impl SiemensDisk {
 
 impl ClosedScene for SiemensDisk {
     fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
-        let (distance, at) = self.place(x, y, t_ns);
-        let inside = self.disk.inside(distance);
+        let (distance, at) = self.polar_place(x, y, t_ns);
+        let inside = self.disk.coverage(distance);
         if inside == 0.0 {
             return WALL;
         }
@@ -79,7 +79,7 @@ impl ClosedScene for SiemensDisk {
     }
 
     fn still_until(&self, x: f64, y: f64, t_ns: i64) -> i64 {
-        self.disk.still_until(self.place(x, y, t_ns), t_ns)
+        self.disk.still_until(self.polar_place(x, y, t_ns), t_ns)
     }
 }
 

@@ -6,14 +6,14 @@
 //! before a still ground. A sketch is a few numbers, so its size and length can be anything. Limits: grey;
 //! objects are opaque; a place is a point, and the stated edge stands for the pixel.
 
-use super::shapes::{blend, bone, from_line, inside, turned};
+use super::shapes::{blend, bone, coverage_at_depth, from_line, rotate};
 use super::surface::{noise, smooth_noise};
 use std::f64::consts::TAU;
 
-/// What moves.
+/// The moving object.
 #[derive(Clone, Debug)]
 #[allow(missing_docs)] // Each variant's text names its numbers.
-pub enum Motion {
+pub enum SketchMotion {
     /// A texture at a velocity, px/s, shaken with an amplitude, px, at a frequency, Hz.
     Texture { velocity: (f64, f64), shake_px: f64, shake_hz: f64 },
     /// Spokes that turn, and how fast, rad/s, around a centre.
@@ -45,16 +45,16 @@ pub enum Motion {
 #[derive(Clone, Debug)]
 pub struct Sketch {
     /// What moves.
-    pub motion: Motion,
+    pub motion: SketchMotion,
     /// Of its surfaces.
     pub seed: u64,
     /// Of textures, as a share of all shades.
     pub contrast: f64,
     /// Width of edges, pixels, on either side.
     pub edge: f64,
-    /// Photocurrent of what is dark.
+    /// Photocurrent of dark surfaces,
     pub low: f64,
-    /// And of what is bright.
+    /// and of bright ones.
     pub high: f64,
 }
 
@@ -81,38 +81,40 @@ fn within_figure(at: (f64, f64), hip: (f64, f64), height: f64, swing: f64) -> f6
 }
 
 impl Sketch {
-    /// What moves, in a word.
+    /// Name of the moving object.
     pub fn name(&self) -> &'static str {
         match self.motion {
-            Motion::Texture { .. } => "texture",
-            Motion::Star { .. } => "star",
-            Motion::Discs { .. } => "discs",
-            Motion::Photograph { .. } => "photograph",
-            Motion::Layers { .. } => "layers",
-            Motion::Fan { .. } => "fan",
-            Motion::Figure { .. } => "figure",
-            Motion::Ball { .. } => "ball",
+            SketchMotion::Texture { .. } => "texture",
+            SketchMotion::Star { .. } => "star",
+            SketchMotion::Discs { .. } => "discs",
+            SketchMotion::Photograph { .. } => "photograph",
+            SketchMotion::Layers { .. } => "layers",
+            SketchMotion::Fan { .. } => "fan",
+            SketchMotion::Figure { .. } => "figure",
+            SketchMotion::Ball { .. } => "ball",
         }
     }
 
     /// How fast things cross a place, pixels a second at most.
     pub fn px_per_s(&self, x: f64, y: f64) -> f64 {
         match self.motion {
-            Motion::Texture { velocity, shake_px, shake_hz } => {
+            SketchMotion::Texture { velocity, shake_px, shake_hz } => {
                 length(velocity) + 2.0 * TAU * shake_hz * shake_px
             }
-            Motion::Star { rate, centre, .. } => {
+            SketchMotion::Star { rate, centre, .. } => {
                 rate.abs() * f64::max(libm::hypot(x - centre.0, y - centre.1), 1.0)
             }
-            Motion::Discs { velocity, drift, .. } => f64::max(length(velocity), length(drift)),
-            Motion::Photograph { middle, shake, turn, zoom, drift } => {
+            SketchMotion::Discs { velocity, drift, .. } => f64::max(length(velocity), length(drift)),
+            SketchMotion::Photograph { middle, shake, turn, zoom, drift } => {
                 let swings = shake.0 * shake.1 + length(middle) * (turn.0.abs() * turn.1 + zoom.0 * zoom.1);
                 length(drift) + TAU * swings
             }
-            Motion::Layers { front, back, .. } => f64::max(length(front), length(back)),
-            Motion::Fan { rate, radius, .. } => rate.abs() * radius,
-            Motion::Figure { height, speed, steps_hz, .. } => speed.abs() + 0.25 * height * TAU * steps_hz,
-            Motion::Ball { radius, velocity, fall, flight_ns, rate, .. } => {
+            SketchMotion::Layers { front, back, .. } => f64::max(length(front), length(back)),
+            SketchMotion::Fan { rate, radius, .. } => rate.abs() * radius,
+            SketchMotion::Figure { height, speed, steps_hz, .. } => {
+                speed.abs() + 0.25 * height * TAU * steps_hz
+            }
+            SketchMotion::Ball { radius, velocity, fall, flight_ns, rate, .. } => {
                 length(velocity) + fall * flight_ns * 1e-9 + rate.abs() * radius
             }
         }
@@ -121,10 +123,9 @@ impl Sketch {
     /// After how long its light is the same again, seconds; 0 when it does not.
     pub fn period_s(&self) -> f64 {
         match self.motion {
-            Motion::Fan { blades: parts, rate, .. } | Motion::Star { spokes: parts, rate, .. } => {
-                TAU / (parts * rate.abs())
-            }
-            Motion::Discs { velocity, pitch, .. } => pitch / length(velocity),
+            SketchMotion::Fan { blades: parts, rate, .. }
+            | SketchMotion::Star { spokes: parts, rate, .. } => TAU / (parts * rate.abs()),
+            SketchMotion::Discs { velocity, pitch, .. } => pitch / length(velocity),
             _ => 0.0,
         }
     }
@@ -143,40 +144,43 @@ impl Sketch {
     /// Shade at a place and time, seconds: about 0 (dark) to 1.
     fn shade(&self, x: f64, y: f64, t: f64) -> f64 {
         match self.motion {
-            Motion::Texture { velocity, shake_px, shake_hz } => {
+            SketchMotion::Texture { velocity, shake_px, shake_hz } => {
                 let shake = shake_px * libm::sin(TAU * shake_hz * t);
                 self.textured(0, x - velocity.0 * t - shake, y - velocity.1 * t + shake)
             }
-            Motion::Star { spokes, rate, centre } => {
+            SketchMotion::Star { spokes, rate, centre } => {
                 let (dx, dy) = (x - centre.0, y - centre.1);
                 let radius = libm::sqrt(dx * dx + dy * dy);
                 let wave = libm::sin(spokes * (libm::atan2(dy, dx) - rate * t));
-                inside(wave * f64::max(radius, 1.0) / spokes, self.edge)
+                coverage_at_depth(wave * f64::max(radius, 1.0) / spokes, self.edge)
             }
-            Motion::Discs { radius, shade, velocity, pitch, drift } => {
+            SketchMotion::Discs { radius, shade, velocity, pitch, drift } => {
                 let ground = self.textured(0, x - drift.0 * t, y - drift.1 * t);
                 let wrap = |at: f64| (at / pitch - (at / pitch).floor() - 0.5) * pitch;
                 let (dx, dy) = (wrap(x - velocity.0 * t), wrap(y - velocity.1 * t));
-                blend(ground, shade, inside(radius - libm::sqrt(dx * dx + dy * dy), self.edge))
+                blend(ground, shade, coverage_at_depth(radius - libm::sqrt(dx * dx + dy * dy), self.edge))
             }
-            Motion::Photograph { middle, shake, turn, zoom, drift } => {
+            SketchMotion::Photograph { middle, shake, turn, zoom, drift } => {
                 let swing = |of: (f64, f64), phase: f64| of.0 * libm::sin(TAU * of.1 * t + phase);
                 let (angle, scale) = (swing(turn, 0.3), libm::exp(swing(zoom, 1.1)));
                 let slant = (scale * libm::sin(angle), scale * libm::cos(angle));
-                let (u, v) = turned((x - middle.0, y - middle.1), slant);
+                let (u, v) = rotate((x - middle.0, y - middle.1), slant);
                 let (u, v) = (u - drift.0 * t - swing(shake, 0.0), v - drift.1 * t - swing(shake, 1.9));
-                let shape = inside((smooth_noise(self.seed ^ 0x51, u, v, 13.0) - 0.5) * 6.0, self.edge);
+                let shape =
+                    coverage_at_depth((smooth_noise(self.seed ^ 0x51, u, v, 13.0) - 0.5) * 6.0, self.edge);
                 self.contrasted(0.6 * noise(self.seed, u, v) + 0.4 * shape)
             }
-            Motion::Layers { size, front, back } => {
+            SketchMotion::Layers { size, front, back } => {
                 let (u, v) = (x - front.0 * t, y - front.1 * t);
-                let share =
-                    inside((smooth_noise(self.seed ^ 0x52, u, v, size) - 0.55) * 0.5 * size, self.edge);
+                let share = coverage_at_depth(
+                    (smooth_noise(self.seed ^ 0x52, u, v, size) - 0.55) * 0.5 * size,
+                    self.edge,
+                );
                 let near = noise(self.seed ^ 0x53, u, v);
                 let far = noise(self.seed, x - back.0 * t, y - back.1 * t);
                 self.contrasted(blend(far, near, share))
             }
-            Motion::Fan { blades, rate, centre, radius, half, shade } => {
+            SketchMotion::Fan { blades, rate, centre, radius, half, shade } => {
                 let (dx, dy) = (x - centre.0, y - centre.1);
                 let r = libm::hypot(dx, dy);
                 let pitch = TAU / blades;
@@ -184,15 +188,15 @@ impl Sketch {
                 let depth = f64::min((half - turned.abs()) * f64::max(r, 1.0), f64::min(radius - r, r - 2.0));
                 self.before_ground(x, y, depth, shade)
             }
-            Motion::Figure { height, speed, steps_hz, begin, shade } => {
+            SketchMotion::Figure { height, speed, steps_hz, begin, shade } => {
                 let hip = (begin.0 + speed * t, begin.1);
                 let swing = 0.5 * libm::sin(TAU * steps_hz * t);
                 self.before_ground(x, y, within_figure((x, y), hip, height, swing), shade)
             }
-            Motion::Ball { radius, begin, velocity, fall, rate, .. } => {
+            SketchMotion::Ball { radius, begin, velocity, fall, rate, .. } => {
                 let (dx, dy) =
                     (x - begin.0 - velocity.0 * t, y - begin.1 - velocity.1 * t - 0.5 * fall * t * t);
-                let (u, v) = turned((dx, dy), (-libm::sin(rate * t), libm::cos(rate * t)));
+                let (u, v) = rotate((dx, dy), (-libm::sin(rate * t), libm::cos(rate * t)));
                 self.before_ground(x, y, radius - libm::hypot(dx, dy), self.textured(0x54, u, v))
             }
         }
@@ -200,7 +204,7 @@ impl Sketch {
 
     /// A shade before a still texture, `depth` pixels within its outline.
     fn before_ground(&self, x: f64, y: f64, depth: f64, shade: f64) -> f64 {
-        blend(self.textured(0, x, y), shade, inside(depth, self.edge))
+        blend(self.textured(0, x, y), shade, coverage_at_depth(depth, self.edge))
     }
 
     /// Shade of a texture by its number at a place.

@@ -5,7 +5,7 @@
 //! away from the hit and forwards, and tumbles. The pellet goes on behind, slower. Where shards overlap, the
 //! pixel is their mean by coverage.
 
-use super::shapes::{arrival, blend, covered, hypot, turned};
+use super::shapes::{arrival, blend, covered, hypot, rotate};
 use super::surface::Texture;
 use super::{BRIGHTEST, ClosedScene};
 use photocurrent_core::Extent;
@@ -49,7 +49,7 @@ const PELLET: f64 = 0.05;
 const SLANT: f64 = 0.45;
 
 /// A shard: a rectangle of the slanted frame, bounded by the shell.
-struct Piece {
+struct Shard {
     /// Its middle when the egg was whole, from the egg's middle.
     home: (f64, f64),
     /// Half its sides along the slanted frame, pixels.
@@ -62,7 +62,7 @@ struct Piece {
     fastest: f64,
 }
 
-impl Piece {
+impl Shard {
     /// From its middle to its corners, pixels.
     fn corner(&self) -> f64 {
         hypot(self.half.0, self.half.1)
@@ -71,7 +71,7 @@ impl Piece {
 
 /// Cuts `-reach` to `reach` into stretches of random length, 0.5 to 1.5 of `mean`: middle and half length of
 /// each. The last one may stand over.
-fn cut(reach: f64, mean: f64, random: &mut Random) -> Vec<(f64, f64)> {
+fn random_stretches(reach: f64, mean: f64, random: &mut Random) -> Vec<(f64, f64)> {
     let mut stretches = Vec::new();
     let mut at = -reach;
     while at < reach {
@@ -87,7 +87,7 @@ pub struct SlingshotEgg {
     centre: (f64, f64),
     /// Half axes of the egg, pixels.
     axes: (f64, f64),
-    pieces: Vec<Piece>,
+    pieces: Vec<Shard>,
     /// The pellet's middle when it hits.
     hit: (f64, f64),
     impact_ns: i64,
@@ -113,9 +113,9 @@ impl SlingshotEgg {
         let mut pieces = Vec::new();
         // The half axes' larger one, and the outline's filter.
         let reach = axes.0.max(axes.1) + 1.0;
-        for (v, half_v) in cut(reach, mean, &mut random) {
-            for (u, half_u) in cut(reach, mean, &mut random) {
-                let (home, half) = (turned((u, v), (libm::sin(SLANT), libm::cos(SLANT))), (half_u, half_v));
+        for (v, half_v) in random_stretches(reach, mean, &mut random) {
+            for (u, half_u) in random_stretches(reach, mean, &mut random) {
+                let (home, half) = (rotate((u, v), (libm::sin(SLANT), libm::cos(SLANT))), (half_u, half_v));
                 // The distance is exact at the outline only, so there is room to spare: what has no shell
                 // costs a little time and shows nothing.
                 if outside_ellipse(home, axes) > 1.5 * hypot(half_u, half_v) + 1.0 {
@@ -131,7 +131,7 @@ impl SlingshotEgg {
                 // Up to ten turns per second.
                 let spin = TAU * 20e-9 * (random.uniform() - 0.5);
                 let fastest = hypot(velocity.0, velocity.1) + spin.abs() * (hypot(half_u, half_v) + 0.5);
-                pieces.push(Piece { home, half, velocity, spin, fastest });
+                pieces.push(Shard { home, half, velocity, spin, fastest });
             }
         }
         SlingshotEgg {
@@ -153,7 +153,7 @@ impl SlingshotEgg {
     }
 
     /// The shell's reflectance at a place from the egg's middle: light comes from above left.
-    fn shell(&self, (x, y): (f64, f64)) -> f64 {
+    fn shell_reflectance(&self, (x, y): (f64, f64)) -> f64 {
         let (u, v) = (x / self.axes.0 + 0.35, y / self.axes.1 + 0.4);
         (0.93 - 0.2 * (u * u + v * v)).clamp(0.3, BRIGHTEST)
     }
@@ -164,7 +164,7 @@ impl SlingshotEgg {
         let (x, y) = (x - self.centre.0, y - self.centre.1);
         if t_ns <= self.impact_ns {
             let share = covered(outside_ellipse((x, y), self.axes));
-            return (share, if share > 0.0 { share * self.shell((x, y)) } else { 0.0 });
+            return (share, if share > 0.0 { share * self.shell_reflectance((x, y)) } else { 0.0 });
         }
         let since = (t_ns - self.impact_ns) as f64;
         let (mut shares, mut light) = (0.0, 0.0);
@@ -175,14 +175,14 @@ impl SlingshotEgg {
                 continue;
             }
             let angle = -piece.spin * since;
-            let from_home = turned((dx, dy), (libm::sin(angle), libm::cos(angle)));
+            let from_home = rotate((dx, dy), (libm::sin(angle), libm::cos(angle)));
             let at = (from_home.0 + piece.home.0, from_home.1 + piece.home.1);
-            let (u, v) = turned(from_home, (-libm::sin(SLANT), libm::cos(SLANT)));
+            let (u, v) = rotate(from_home, (-libm::sin(SLANT), libm::cos(SLANT)));
             let share = covered(u.abs() - piece.half.0) * covered(v.abs() - piece.half.1);
             if share > 0.0 {
                 let share = share * covered(outside_ellipse(at, self.axes));
                 shares += share;
-                light += share * self.shell(at);
+                light += share * self.shell_reflectance(at);
             }
         }
         (shares, light)

@@ -1,5 +1,5 @@
-//! Random surfaces: a texture in memory, quick to read and the same again every 512 pixels; and noise without
-//! end, worked out at every place.
+//! Random surfaces: a texture in memory that repeats every 512 pixels, and unlimited noise that is computed
+//! at every place.
 
 use super::shapes::blend;
 use photocurrent_core::random::Random;
@@ -53,7 +53,7 @@ impl Texture {
     }
 
     /// A texture between this (0) and another (1) in the logarithm.
-    pub fn mixed(&self, other: &Texture, share: f64) -> Texture {
+    pub fn blend(&self, other: &Texture, share: f64) -> Texture {
         let mix = |(own, other): (&f32, &f32)| {
             let log = blend(libm::log(f64::from(*own)), libm::log(f64::from(*other)), share);
             // Rounding to f32 must not leave the range of the two.
@@ -64,7 +64,7 @@ impl Texture {
 
     /// The value at any place, linear between whole pixels.
     pub fn at(&self, x: f64, y: f64) -> f64 {
-        let (left, top) = (whole(x), whole(y));
+        let (left, top) = (floor_to_integer(x), floor_to_integer(y));
         let (fx, fy) = (x - left as f64, y - top as f64);
         let mask = Texture::SIDE - 1;
         let (column, row) = (left as usize & mask, top as usize & mask);
@@ -75,9 +75,9 @@ impl Texture {
     }
 }
 
-/// The largest whole number that is not above `at`: what `floor` gives for places of any scene, without the
-/// call that it is on processors without SSE 4.1.
-fn whole(at: f64) -> i64 {
+/// The largest whole number not above `at`: `floor` for coordinates of scenes, without the function call that
+/// it is on processors without SSE 4.1.
+fn floor_to_integer(at: f64) -> i64 {
     let towards_zero = at as i64;
     towards_zero - i64::from(towards_zero as f64 > at)
 }
@@ -114,7 +114,7 @@ mod tests {
     #[test]
     fn whole_numbers_below_a_place_are_its_floor() {
         for at in [-3.0, -2.5, -0.0, 0.0, 0.999, 1.0, 1e-300, -1e-300, 123_456.75, -123_456.75] {
-            assert_eq!(whole(at), at.floor() as i64, "{at}");
+            assert_eq!(floor_to_integer(at), at.floor() as i64, "{at}");
         }
     }
 

@@ -1,4 +1,4 @@
-//! `texture`: a natural texture that slides, so that every pixel changes all the time.
+//! `texture`: a sliding natural texture, so that every pixel changes all the time.
 
 use super::surface::Texture;
 use super::{BRIGHTEST, ClosedScene, DARKEST};
@@ -15,8 +15,7 @@ pub struct TextureParams {
     /// Where to, degrees clockwise from the right.
     #[schemars(range(min = -180.0, max = 180.0))]
     pub heading: f64,
-    /// How far red, green and blue go apart: 0 is grey, 1 makes them three textures that have nothing to do
-    /// with each other.
+    /// Difference of red, green and blue: 0 is grey, 1 makes them three independent textures.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub colourfulness: f64,
 }
@@ -45,7 +44,7 @@ impl SlidingTexture {
         let surface = texture(1);
         let coloured = 0..if params.colourfulness > 0.0 { 3 } else { 0 };
         let channels =
-            coloured.map(|channel| surface.mixed(&texture(2 + channel), params.colourfulness)).collect();
+            coloured.map(|channel| surface.blend(&texture(2 + channel), params.colourfulness)).collect();
         SlidingTexture {
             surface,
             channels,
@@ -56,18 +55,18 @@ impl SlidingTexture {
 }
 
 impl SlidingTexture {
-    fn look(&self, texture: &Texture, x: f64, y: f64, t_ns: i64) -> f64 {
+    fn log_reflectance(&self, texture: &Texture, x: f64, y: f64, t_ns: i64) -> f64 {
         texture.at(x - self.velocity.0 * t_ns as f64, y - self.velocity.1 * t_ns as f64)
     }
 }
 
 impl ClosedScene for SlidingTexture {
     fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
-        self.look(&self.surface, x, y, t_ns)
+        self.log_reflectance(&self.surface, x, y, t_ns)
     }
 
     fn channel(&self, channel: usize, x: f64, y: f64, t_ns: i64) -> f64 {
-        self.look(self.channels.get(channel).unwrap_or(&self.surface), x, y, t_ns)
+        self.log_reflectance(self.channels.get(channel).unwrap_or(&self.surface), x, y, t_ns)
     }
 
     fn speed(&self, _: f64, _: f64) -> f64 {

@@ -1,4 +1,4 @@
-//! The parameters of how motion is estimated, and of the neighbours that predict along it.
+//! Parameters of the motion estimate, and of predictions from neighbours along it.
 
 use photocurrent_core::quantity::Duration;
 
@@ -7,9 +7,9 @@ use photocurrent_core::quantity::Duration;
 pub struct MotionParams {
     /// Speeds are cut to this, pixels per ms.
     pub fastest: f64,
-    /// Differences of log light of this size count half.
+    /// Difference of log light with half the weight.
     pub robust: f64,
-    /// What a motion must explain, as squared log light, to be used.
+    /// Least squared log light that a motion must explain to be used.
     pub least_contrast: f64,
     /// A place takes the motion of all pixels, or that of another place, where that leaves less by this part
     /// than its own does.
@@ -18,11 +18,11 @@ pub struct MotionParams {
     pub farther: Vec<u32>,
     /// Standard deviation of the neighbourhood in which they are compared, pixels.
     pub neighbourhood: f64,
-    /// A neighbour predicts only what passes it at most so long before or after the pixel.
+    /// Largest time between a neighbour's light and the pixel's.
     pub longest: Duration,
-    /// A track counts half so long after or before an event of its pixel.
+    /// Time from an event of its pixel at which a track has half the weight.
     pub fresh: Duration,
-    /// And never less than one part in so many and one.
+    /// Largest ratio of that loss of weight: the least weight is one over this and one.
     pub stalest: f64,
 }
 

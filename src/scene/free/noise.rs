@@ -1,12 +1,12 @@
-//! Noise of the measurements that a scene follows: of events, and of frame values.
+//! Noise of a scene's measurements: of events, and of frame values.
 
-use super::predicted::{Predicted, PredictedEvent, PredictedFrame};
+use super::predicted::{PixelPrediction, PredictedEvent, PredictedFrame};
 use crate::case::Case;
 use crate::nominal::Nominal;
 use crate::statistics::{MEDIAN_NORMAL, MEDIAN_T, NU, median};
 use rayon::prelude::*;
 
-/// Noise of thresholds as a share of them: at first, and the limits of what is estimated.
+/// Threshold noise as a share of the threshold: initial value, and limits of its estimate.
 const FIRST_SHARE: f64 = 0.02;
 const SHARES: (f64, f64) = (0.003, 0.3);
 /// Noise of thresholds that is always there, as a share of them.
@@ -15,17 +15,16 @@ pub const LEAST_SHARE: f64 = 0.01;
 const STAMP_S: f64 = 20e-6;
 /// The light is estimated without an event that decides more than this of itself as if it decided this.
 const MOST_LEVERAGE: f64 = 0.999;
-/// Slower rises than this, thresholds a second, count as it.
+/// Least slope, thresholds per second; slower ones count as this.
 const LEAST_RISE_PER_S: f64 = 10.0;
 /// The logarithm of a rise changes by no more than this with an effect.
 pub(crate) const MOST_OF_RISE: f64 = 1.0;
 /// Limits of the share of instants without an event at which one is missing for another reason than that
 /// none was due.
 const MISSING: (f64, f64) = (1e-3, 0.9);
-/// An instant without an event at which the light is so many standard deviations beyond a threshold has
-/// another reason.
+/// Largest excess at an instant without an event, standard deviations; larger ones have another cause.
 const FAR: f64 = 3.0;
-/// Beyond so many standard deviations a tail of the normal distribution is taken from its expansion.
+/// Standard deviations beyond which a normal tail is computed by its expansion.
 const FARTHEST: f64 = 8.0;
 /// The probability of no event bends at least so much with the excess.
 const LEAST_CURVATURE: f64 = 1e-3;
@@ -33,7 +32,7 @@ const LEAST_CURVATURE: f64 = 1e-3;
 const LEAST_DN: f64 = 0.3;
 const LEAST_SIGNAL_SHARE: f64 = 0.002;
 
-/// What an instant without an event adds to a Newton step.
+/// Contribution of an instant without an event to a Newton step.
 pub(crate) struct QuietTerm {
     pub weight: f64,
     pub residual: f64,
@@ -42,24 +41,24 @@ pub(crate) struct QuietTerm {
 
 /// Noise of events and of frame values.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Noise {
+pub struct SceneNoise {
     /// Of thresholds, as a share of them.
     pub threshold_share: f64,
     /// Of stamps, seconds.
     pub stamp_s: f64,
     /// Variance of a dark frame value, DN^2.
     pub dark_dn2: f64,
-    /// What a signal of one DN adds to it, DN.
+    /// Increase of it per DN of signal, DN.
     pub shot_dn: f64,
     /// Share of the instants without an event at which one is missing for another reason than that none was
     /// due: a loss, or light that the scene does not follow.
     pub missing: f64,
 }
 
-impl Noise {
+impl SceneNoise {
     /// With frame noise ([`frame_noise`]).
-    pub fn new((dark_dn2, shot_dn): (f64, f64)) -> Noise {
-        Noise { threshold_share: FIRST_SHARE, stamp_s: STAMP_S, dark_dn2, shot_dn, missing: MISSING.0 }
+    pub fn new((dark_dn2, shot_dn): (f64, f64)) -> SceneNoise {
+        SceneNoise { threshold_share: FIRST_SHARE, stamp_s: STAMP_S, dark_dn2, shot_dn, missing: MISSING.0 }
     }
 
     /// Variance of an event's excess.
@@ -104,7 +103,7 @@ impl Noise {
         self.dark_dn2 + self.shot_dn * signal_dn.max(0.0) + LEAST_DN * LEAST_DN + share * share
     }
 
-    /// What a frame value misses over its standard deviation.
+    /// Misfit of a frame value over its standard deviation.
     pub(crate) fn frame_misfit(&self, frame: &PredictedFrame) -> f64 {
         frame.residual_dn / self.frame_variance(frame.signal_dn).sqrt()
     }
@@ -116,8 +115,8 @@ impl Noise {
         -libm::log(scale) - 0.5 * (NU + 1.0) * libm::log1p(misfit * misfit / NU)
     }
 
-    /// Scales the noise of thresholds to the excesses and what the light leaves open of them.
-    pub(crate) fn estimate_of_events(&mut self, predicted: &[Predicted], left: &[Vec<f64>]) {
+    /// Scales the threshold noise to the excesses and to the posterior variance of the light.
+    pub(crate) fn estimate_of_events(&mut self, predicted: &[PixelPrediction], left: &[Vec<f64>]) {
         let events = predicted.iter().zip(left).flat_map(|(of, left)| of.events.iter().zip(left));
         let relative: Vec<f64> = events
             .map(|(event, left)| (event.excess * event.excess + left) / self.event_variance(event))
@@ -139,7 +138,7 @@ impl Noise {
     ///
     /// Not by its likelihood, which is greatest where every such instant lacks an event (Phi <= 1), and none
     /// is a measurement any more.
-    pub(crate) fn estimate_of_quiet(&mut self, predicted: &[Predicted]) {
+    pub(crate) fn estimate_of_quiet(&mut self, predicted: &[PixelPrediction]) {
         let instants = predicted.iter().flat_map(|of| &of.quiet);
         let (far, all) = instants.fold((0, 0), |(far, all), quiet| {
             let is_far = quiet.polarity * quiet.excess > FAR * self.event_variance(quiet).sqrt();
@@ -153,7 +152,7 @@ impl Noise {
     /// instant without one.
     pub(crate) fn log_density(
         &self,
-        predicted: &Predicted,
+        predicted: &PixelPrediction,
         leverage: &[f64],
         event: impl Fn(usize) -> [f64; 2],
         quiet: impl Fn(usize) -> f64,
@@ -175,8 +174,8 @@ impl Noise {
     /// `leverage` is by both.
     pub(crate) fn event_gains(
         &self,
-        with: &Predicted,
-        without: &Predicted,
+        with: &PixelPrediction,
+        without: &PixelPrediction,
         leverage: impl Fn(usize) -> f64,
     ) -> Vec<f64> {
         let of = |(k, (with, without)): (usize, (&PredictedEvent, &PredictedEvent))| {
@@ -214,10 +213,10 @@ pub(crate) fn frame_scale(misfits: &mut [f64]) -> f64 {
 
 /// Levels of frame values that noise is estimated in.
 const LEVELS: usize = 12;
-/// At least so many differences in each.
+/// Least number of differences in each.
 const FEWEST: usize = 100;
-/// The quantile of absolute differences that counts, and that of a normal distribution: what structure of the
-/// scene remains makes some differences larger than noise does.
+/// Quantile of absolute differences that is used, and that of a normal distribution: remaining structure of
+/// the scene makes some differences larger.
 const QUANTILE: (f64, f64) = (0.2, 0.253_347);
 /// Frame values at most, of those that are evenly spread.
 const MOST_VALUES: usize = 300_000;
@@ -238,19 +237,19 @@ pub fn frame_noise(case: &Case, nominal: &Nominal) -> (f64, f64) {
         return stated;
     }
     let step = (case.frame_count() * width * height / MOST_VALUES).max(1);
-    let of_frame = |l: usize| -> Vec<Differences> {
+    let of_frame = |l: usize| -> Vec<AbsoluteDifferences> {
         let inner = (1..height - 1).flat_map(|y| (1..width - 1).map(move |x| (x, y)));
         inner
             .enumerate()
             .filter(|(n, _)| (n + l).is_multiple_of(step))
-            .filter_map(|(_, (x, y))| Differences::at(case, nominal, l, (x, y)))
+            .filter_map(|(_, (x, y))| AbsoluteDifferences::at(case, nominal, l, (x, y)))
             .collect()
     };
-    let mut found: Vec<Differences> =
+    let mut found: Vec<AbsoluteDifferences> =
         (1..case.frame_count() - 1).into_par_iter().flat_map_iter(of_frame).collect();
     found.sort_by(|a, b| a.signal_dn.total_cmp(&b.signal_dn));
     let size = (found.len() / LEVELS).max(FEWEST);
-    let level = |level: &[Differences]| {
+    let level = |level: &[AbsoluteDifferences]| {
         let least = (0..KINDS.len()).map(|kind| {
             let mut sizes: Vec<f64> = level.iter().map(|one| one.sizes[kind]).collect();
             let at = (QUANTILE.0 * sizes.len() as f64) as usize;
@@ -269,15 +268,20 @@ pub fn frame_noise(case: &Case, nominal: &Nominal) -> (f64, f64) {
 const KINDS: [f64; 3] = [36.0, 54.0, 1.5];
 
 /// Absolute differences around a value, in the order of [`KINDS`].
-struct Differences {
+struct AbsoluteDifferences {
     /// Mean of 3 x 3 values, DN above black.
     signal_dn: f64,
     sizes: [f64; 3],
 }
 
-impl Differences {
+impl AbsoluteDifferences {
     /// None where a value is unknown or saturated.
-    fn at(case: &Case, nominal: &Nominal, frame: usize, (x, y): (usize, usize)) -> Option<Differences> {
+    fn at(
+        case: &Case,
+        nominal: &Nominal,
+        frame: usize,
+        (x, y): (usize, usize),
+    ) -> Option<AbsoluteDifferences> {
         const ALONG: [f64; 3] = [1.0, -2.0, 1.0];
         let width = case.extent.width as usize;
         let value = |frame: usize, x: usize, y: usize| {
@@ -296,7 +300,7 @@ impl Differences {
             }
         }
         let in_time = value(frame, x, y)? - 0.5 * (value(frame - 1, x, y)? + value(frame + 1, x, y)?);
-        Some(Differences {
+        Some(AbsoluteDifferences {
             signal_dn: f64::max(sum / 9.0 - nominal.number.black_level, 0.0),
             sizes: [across.abs(), changing.abs(), in_time.abs()],
         })

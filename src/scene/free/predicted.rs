@@ -1,4 +1,4 @@
-//! What a sensor predicts of a pixel on the present light: its events and frame values.
+//! A sensor's prediction for a pixel on the present light: its events and frame values.
 
 use photocurrent_sensor::front_end::FrontEnd;
 
@@ -34,9 +34,9 @@ pub struct PredictedFrame {
     pub signal_dn: f64,
 }
 
-/// What a sensor predicts of one pixel.
+/// A sensor's prediction for one pixel.
 #[derive(Clone, Debug, Default)]
-pub struct Predicted {
+pub struct PixelPrediction {
     /// The low-pass, for derivatives.
     pub low_pass: FrontEnd,
     /// DN of a photocurrent of 1 over a second.

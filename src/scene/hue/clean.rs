@@ -1,9 +1,9 @@
-//! Ratios of a frame without its noise.
+//! Denoises the ratios of a frame.
 //!
 //! A hue changes little from pixel to pixel, so it is a mean over a neighbourhood and over the frames before
-//! and after: of the values over that of the mixtures, each place weighted by how near it is, how like its
-//! ratios are in terms of their noise, and how like its light is. Where frames have no noise, only what has
-//! the same hue counts.
+//! and after: of the values over that of the mixtures. Each place is weighted by its distance, by the
+//! similarity of its ratios in terms of their noise, and by the similarity of its light. Without noise, only
+//! equal hues have a weight.
 
 use crate::image::Image;
 use crate::statistics::{MEDIAN_NORMAL, quantile};
@@ -15,7 +15,7 @@ pub(super) const MOST: f32 = 64.0;
 const REACH: usize = 3;
 /// Standard deviation of their distance, pixels.
 const NEAR: f64 = 2.0;
-/// Ratios that differ by so many standard deviations are of other things.
+/// Standard deviations from which ratios belong to different objects.
 const APART: f64 = 1.2;
 /// And so is light whose logarithm differs by so much.
 const OTHER_LIGHT: f64 = 0.4;
@@ -25,29 +25,30 @@ const FLOOR: f64 = 0.003;
 const LEVELS: usize = 8;
 
 /// The mixture of a frame, and its values.
-type Frame = (Image, Vec<Image>);
+type MixtureAndValues = (Image, Vec<Image>);
 
 /// The ratios of each frame; `mean` is the mean of all mixtures.
-pub(super) fn without_noise(frames: &[Frame], mean: f64) -> Vec<Vec<Image>> {
+pub(super) fn without_noise(frames: &[MixtureAndValues], mean: f64) -> Vec<Vec<Image>> {
     let floor = f64::max(FLOOR * mean, f64::MIN_POSITIVE);
-    let noise = Noise::new(frames, floor);
-    let pilots: Vec<Pilot> = frames.par_iter().map(|frame| Pilot::new(frame, &noise, floor)).collect();
-    (0..frames.len()).map(|l| clean(frames, &pilots, l)).collect()
+    let noise = RatioNoise::new(frames, floor);
+    let pilots: Vec<PilotRatios> =
+        frames.par_iter().map(|frame| PilotRatios::new(frame, &noise, floor)).collect();
+    (0..frames.len()).map(|l| denoise_frame(frames, &pilots, l)).collect()
 }
 
 /// Standard deviation of a value about its ratio's part of the mixture, for each value of an event pixel, at
 /// levels of light.
-struct Noise {
+struct RatioNoise {
     /// Rising levels of the mixture.
     light: Vec<f64>,
     /// [value][level]
     sigma: Vec<Vec<f64>>,
 }
 
-impl Noise {
-    /// The lesser of what changes between frames, in which most pixels stand still, and what bends from pixel
-    /// to pixel, where most hues are smooth.
-    fn new(frames: &[Frame], floor: f64) -> Noise {
+impl RatioNoise {
+    /// The smaller of the differences between frames, in which most pixels stand still, and of second
+    /// differences between pixels, where most hues are smooth.
+    fn new(frames: &[MixtureAndValues], floor: f64) -> RatioNoise {
         let mut sorted: Vec<f32> = frames.iter().flat_map(|(mixture, _)| &mixture.values).copied().collect();
         sorted.sort_unstable_by(f32::total_cmp);
         let at = |share: f64| quantile(&sorted, share);
@@ -56,7 +57,8 @@ impl Noise {
         let level = |light: f32| edges.partition_point(|edge| *edge <= light);
         let of_value = |n: usize| {
             let (mut changes, mut bends) = (vec![Vec::new(); LEVELS], vec![Vec::new(); LEVELS]);
-            let apart = |(mixture, values): &Frame, k: usize| values[n].values[k] - mixture.values[k];
+            let apart =
+                |(mixture, values): &MixtureAndValues, k: usize| values[n].values[k] - mixture.values[k];
             for (l, frame) in frames.iter().enumerate() {
                 let mixture = &frame.0;
                 for (k, light) in mixture.values.iter().enumerate() {
@@ -79,7 +81,7 @@ impl Noise {
             changes.iter_mut().zip(&mut bends).map(sigma).collect()
         };
         let values = frames.first().map_or(0, |(_, values)| values.len());
-        Noise { light, sigma: (0..values).into_par_iter().map(of_value).collect() }
+        RatioNoise { light, sigma: (0..values).into_par_iter().map(of_value).collect() }
     }
 
     /// Of value `n` where the mixture is `light`: linear between levels.
@@ -103,18 +105,18 @@ fn median(all: &mut [f32]) -> Option<f64> {
     (!all.is_empty()).then(|| f64::from(*all.select_nth_unstable_by(middle, f32::total_cmp).1))
 }
 
-/// Ratios over 3 x 3 pixels, and how well they are known.
-struct Pilot {
+/// Ratios over 3 x 3 pixels, and their standard deviations.
+struct PilotRatios {
     log: Vec<f32>,
     /// [pixel][value]
     ratios: Vec<f32>,
     variances: Vec<f32>,
 }
 
-impl Pilot {
-    fn new((mixture, values): &Frame, noise: &Noise, floor: f64) -> Pilot {
+impl PilotRatios {
+    fn new((mixture, values): &MixtureAndValues, noise: &RatioNoise, floor: f64) -> PilotRatios {
         let (width, height, count) = (mixture.width, mixture.height, values.len());
-        let mut pilot = Pilot { log: Vec::new(), ratios: Vec::new(), variances: Vec::new() };
+        let mut pilot = PilotRatios { log: Vec::new(), ratios: Vec::new(), variances: Vec::new() };
         for k in 0..width * height {
             let (x, y) = (k % width, k / width);
             let around = |image: &Image| -> (f64, f64) {
@@ -136,7 +138,7 @@ impl Pilot {
     }
 }
 
-fn clean(frames: &[Frame], pilots: &[Pilot], l: usize) -> Vec<Image> {
+fn denoise_frame(frames: &[MixtureAndValues], pilots: &[PilotRatios], l: usize) -> Vec<Image> {
     let (own, values) = &frames[l];
     let (width, height, count) = (own.width, own.height, values.len());
     let ratio = |sum: f32, mixture: f32| if mixture > 0.0 { (sum / mixture).clamp(0.0, MOST) } else { 1.0 };

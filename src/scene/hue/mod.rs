@@ -1,13 +1,13 @@
 //! The hue of captured frames, carried along the motion to any instant.
 //!
-//! An event pixel sees the mixture of the values of a frame that lie on it ([`Grey`]): three channels, the
-//! pixels of a mosaic, or pixels finer than its own. Events therefore give the mixture over time, and say
-//! nothing of how light divides between the values: that is known when a frame is exposed, as the ratio of
+//! An event pixel sees the mixture of the values of a frame that lie on it ([`GreyFrames`]): three channels,
+//! the pixels of a mosaic, or pixels finer than its own. Events therefore give the mixture over time, and do
+//! not determine how light divides between the values: that is known when a frame is exposed, as the ratio of
 //! each value to the mixture. Between frames what has a hue moves, and its hue with it. So a ratio is taken
-//! from the frames before and after, where the motion leads there from the pixel ([`Path`]), and at the pixel
-//! itself. Which of these four it is, the mixture states: light of the frame there, against light now, over
-//! the neighbourhood. Where none agrees (something is uncovered, and seen in neither frame) the frames count
-//! by their distance in time.
+//! from the frames before and after, where the motion leads there from the pixel ([`MotionPath`]), and at the
+//! pixel itself. Which of these four it is, the mixture states: light of the frame there, against light now,
+//! over the neighbourhood. Where none agrees (something is uncovered, and seen in neither frame) the frames
+//! count by their distance in time.
 //!
 //! Ratios are means of values over means of mixtures with equal weights, so the weighted sum of what comes
 //! out is the mixture that went in, whatever the hue: the grey answer stays the grey answer.
@@ -22,16 +22,16 @@ mod taps;
 #[cfg(test)]
 mod tests;
 
-pub use path::Path;
+pub use path::MotionPath;
 
-use crate::alignment::{Alignment, Around};
+use crate::alignment::{Alignment, BilinearWeights};
 use crate::film::LogTracks;
-use crate::grey::{Clipped, Grey};
+use crate::grey::{GreyFrames, SaturatedMean};
 use crate::image::{Image, smooth};
 use clean::MOST;
 use photocurrent_core::{DataError, Extent, FrameSequence, FrameTimes};
-use sharp::Exposed;
-use taps::Taps;
+use sharp::ExposureLight;
+use taps::BilinearTaps;
 
 /// Light that is this part of the mean or less is dark: its logarithm states little.
 const DARK: f64 = 0.05;
@@ -39,9 +39,9 @@ const DARK: f64 = 0.05;
 const ALIKE: f64 = 0.1;
 /// Standard deviation of that neighbourhood, pixels.
 const NEIGHBOURHOOD: f64 = 1.0;
-/// What the pixel itself counts next to where the motion leads, alike as they may be.
+/// Weight of the pixel itself relative to the place along the motion, for equal similarity.
 const OWN: f64 = 0.1;
-/// What a place counts where nothing agrees.
+/// Weight of a place where nothing agrees.
 const LEAST: f64 = 1e-5;
 
 /// A captured frame as mixture and values, all on the grid of the event pixels, per second of exposure.
@@ -57,7 +57,7 @@ struct Captured {
 
 /// Captured frames from which hue is taken.
 pub struct Hues {
-    grey: Grey,
+    grey: GreyFrames,
     times: FrameTimes,
     frames: Vec<Captured>,
     /// Added to light before its logarithm is taken.
@@ -74,17 +74,17 @@ impl Hues {
     /// # Errors
     /// When the frames cannot be read.
     pub fn new(
-        grey: Grey,
+        grey: GreyFrames,
         frames: &FrameSequence,
         (tracks, gain): (&LogTracks, f64),
-        path: &Path<'_>,
+        path: &MotionPath<'_>,
         array: Option<&Alignment>,
     ) -> Result<Hues, DataError> {
         let meta = &frames.meta;
         let times = grey.times(&meta.times);
         let (ratio, channels) = (grey.ratio, grey.colour.channels());
         let (width, height) = (meta.extent.width / ratio, meta.extent.height / ratio);
-        let mixtures = grey.read(frames, Clipped::Mean)?;
+        let mixtures = grey.read(frames, SaturatedMean::Mean)?;
         let pixels = (width * height) as usize;
         let mut raw = Vec::with_capacity(frames.len());
         for (l, mixture) in mixtures.chunks_exact(pixels.max(1)).enumerate() {
@@ -105,7 +105,7 @@ impl Hues {
             };
             let value = |n: usize| {
                 image(&|x, y| {
-                    let (value, row) = grey.place(n, (x, y));
+                    let (value, row) = grey.value_place(n, (x, y));
                     let at = row as usize * (width * ratio * channels) as usize + value as usize;
                     grey.light(f64::from(dn[at]), value, row)
                 })
@@ -115,7 +115,7 @@ impl Hues {
             raw.push((mixture, values));
         }
         if let Some(array) = array {
-            let around = array.around(Extent { width, height });
+            let around = array.bilinear_weights(Extent { width, height });
             raw.iter_mut().for_each(|(mixture, _)| *mixture = resolved(mixture, array, &around));
         }
         let sum: f64 = raw.iter().flat_map(|(mixture, _)| &mixture.values).map(|u| f64::from(*u)).sum();
@@ -125,13 +125,13 @@ impl Hues {
         // Every event pixel has the same, or none sees a mixture.
         let weights = grey.weights((0, 0));
         let frame = |(frame, mut ratios): (usize, Vec<Image>)| {
-            let exposed = Exposed { tracks, path, times: &times, frame };
+            let exposed = ExposureLight { tracks, path, times: &times, frame };
             sharp::sharpen(&mut ratios, &exposed);
             if array.is_none() {
                 of_the_mixture(&mut ratios, weights);
             }
             // As the tracks have it: sharp, at the middle of the exposure.
-            let mut mixture = exposed.light(&exposed.middle());
+            let mut mixture = exposed.light(&exposed.mid_exposure());
             mixture.values.iter_mut().for_each(|light| *light *= gain as f32);
             let log = mixture.values.iter().map(|u| log_of(f64::from(*u), dark)).collect();
             for ratio in &mut ratios {
@@ -144,28 +144,28 @@ impl Hues {
     }
 
     /// How values lie on the event pixels.
-    pub fn grey(&self) -> &Grey {
+    pub fn grey(&self) -> &GreyFrames {
         &self.grey
     }
 
-    /// For each value of an event pixel the ratio to the mixture, as pictures over the event pixels; 1 where
-    /// nothing is known.
+    /// Ratio of each value of an event pixel to the mixture, as pictures over the event pixels; 1 where
+    /// unknown.
     ///
-    /// `light` is the mixture per second of exposure, `t_ns` the middle of the exposure of each of its rows.
-    pub fn ratios(&self, light: &Image, t_ns: &[i64], path: &Path<'_>) -> Vec<Image> {
+    /// `light`: the mixture per second of exposure; `t_ns`: mid-exposure of each of its rows.
+    pub fn ratios(&self, light: &Image, t_ns: &[i64], path: &MotionPath<'_>) -> Vec<Image> {
         let (width, height) = (light.width, light.height);
         let log: Vec<f32> = light.values.iter().map(|u| log_of(f64::from(*u), self.dark)).collect();
         let pixels = width * height;
         let mut sums = vec![vec![0.0_f32; pixels]; self.grey.values()];
         let mut mixture = vec![0.0_f32; pixels];
-        for (l, share) in self.around(height / 2, t_ns[height / 2]) {
+        for (l, share) in self.bracketing_frames(height / 2, t_ns[height / 2]) {
             let at = |row: usize| self.times.exposure(l, row as u32).mid().0;
             let Captured { mixture: of_frame, log: of_log, values } = &self.frames[l];
-            let own = (OWN, Taps::own(width, height));
-            let moved = (1.0, Taps::new(path, (width, height), t_ns, &at));
+            let own = (OWN, BilinearTaps::identity(width, height));
+            let moved = (1.0, BilinearTaps::new(path, (width, height), t_ns, &at));
             for (prior, taps) in [own, moved] {
                 let apart = |k: usize| {
-                    let apart = taps.of(of_log, k) - log[k];
+                    let apart = taps.read(of_log, k) - log[k];
                     apart * apart
                 };
                 let apart: Vec<f32> = (0..pixels).map(apart).collect();
@@ -175,7 +175,7 @@ impl Hues {
                 };
                 let weights: Vec<f32> = apart.into_iter().map(|apart| weight(apart) as f32).collect();
                 let add = |sum: &mut Vec<f32>, image: &Image| {
-                    sum.iter_mut().enumerate().for_each(|(k, sum)| *sum += weights[k] * taps.of(image, k))
+                    sum.iter_mut().enumerate().for_each(|(k, sum)| *sum += weights[k] * taps.read(image, k))
                 };
                 add(&mut mixture, of_frame);
                 sums.iter_mut().zip(values).for_each(|(sum, value)| add(sum, value));
@@ -192,8 +192,8 @@ impl Hues {
         sums.into_iter().map(ratios).collect()
     }
 
-    /// The frames before and after an instant in a row, and what each counts.
-    fn around(&self, row: usize, t_ns: i64) -> Vec<(usize, f64)> {
+    /// The frames before and after an instant in a row, and their weights.
+    fn bracketing_frames(&self, row: usize, t_ns: i64) -> Vec<(usize, f64)> {
         let mid = |l: usize| self.times.exposure(l, row as u32).mid().0;
         let count = self.frames.len();
         match (0..count).find(|l| mid(*l) > t_ns) {
@@ -208,11 +208,11 @@ impl Hues {
 }
 
 /// A picture as the pixels of an event array see it, interpolated between them; as it is where none is near.
-fn resolved(picture: &Image, array: &Alignment, around: &[Around]) -> Image {
+fn resolved(picture: &Image, array: &Alignment, around: &[BilinearWeights]) -> Image {
     let seen = array.to_events(picture);
-    let of = |(around, own): (&Around, &f32)| {
+    let of = |(around, own): (&BilinearWeights, &f32)| {
         // A picture has 0 where nothing is known.
-        if around.is_known() && *own > 0.0 { around.of(&seen.values) } else { *own }
+        if around.is_known() && *own > 0.0 { around.interpolate(&seen.values) } else { *own }
     };
     Image { values: around.iter().zip(&picture.values).map(of).collect(), ..*picture }
 }

@@ -1,26 +1,26 @@
-//! Where what stands at a pixel stands at another time.
+//! Follows places along a motion in time.
 
 use crate::flow::Flow;
 use rayon::prelude::*;
 
 /// Motion is followed in steps of at most this, ns.
 const STEP_NS: i64 = 1_000_000;
-/// Places are followed from every so many pixels of a row, and of a column; between them they are linear.
+/// Pitch of the pixels of a row and of a column that are followed; places between are linear.
 const PITCH: usize = 2;
 
 /// Follows a motion.
-pub struct Path<'a> {
+pub struct MotionPath<'a> {
     flow: &'a Flow,
 }
 
-impl<'a> Path<'a> {
+impl<'a> MotionPath<'a> {
     /// Along this motion.
-    pub fn new(flow: &'a Flow) -> Path<'a> {
-        Path { flow }
+    pub fn new(flow: &'a Flow) -> MotionPath<'a> {
+        MotionPath { flow }
     }
 
-    /// Where what stands at a place at one instant stands at another.
-    pub fn place(&self, (mut x, mut y): (f64, f64), from_ns: i64, to_ns: i64) -> (f64, f64) {
+    /// The place at `to_ns` of the object that is at a place at `from_ns`.
+    pub fn follow(&self, (mut x, mut y): (f64, f64), from_ns: i64, to_ns: i64) -> (f64, f64) {
         let steps = ((to_ns - from_ns).unsigned_abs().div_ceil(STEP_NS as u64)).max(1);
         let step_ns = (to_ns - from_ns) as f64 / steps as f64;
         for n in 0..steps {
@@ -36,7 +36,7 @@ impl<'a> Path<'a> {
 
     /// The places of all pixels of a picture, row by row: each row is exposed at one of `t_ns`, and each row
     /// there at `there(row)`.
-    pub(super) fn places(
+    pub(super) fn follow_pixels(
         &self,
         (width, height): (usize, usize),
         t_ns: &[i64],
@@ -46,10 +46,10 @@ impl<'a> Path<'a> {
         let of = |at: usize| {
             let (x, y) = (at % columns * PITCH, usize::min(at / columns * PITCH, height - 1));
             let own = (x as f64, y as f64);
-            let first = self.place(own, t_ns[y], there(y));
+            let first = self.follow(own, t_ns[y], there(y));
             // It stands in another row by then, which is exposed at another time.
             let row = (first.1.round().max(0.0) as usize).min(height - 1);
-            let (x, y) = if there(row) == there(y) { first } else { self.place(own, t_ns[y], there(row)) };
+            let (x, y) = if there(row) == there(y) { first } else { self.follow(own, t_ns[y], there(row)) };
             ((x - own.0) as f32, (y - own.1) as f32)
         };
         let coarse: Vec<(f32, f32)> = (0..columns * lines).into_par_iter().map(of).collect();

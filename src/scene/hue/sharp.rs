@@ -6,8 +6,8 @@
 //! light, give the ratios that were collected. They are found by the iteration of Richardson (1972) and Lucy
 //! (1974), which keeps them positive and changes nothing where nothing moves.
 
-use super::path::Path;
-use super::taps::Taps;
+use super::path::MotionPath;
+use super::taps::BilinearTaps;
 use crate::film::LogTracks;
 use crate::image::Image;
 use photocurrent_core::FrameTimes;
@@ -16,7 +16,7 @@ use rayon::prelude::*;
 /// Instants of an exposure; the motion between two of them is a pixel or so.
 const MOST_INSTANTS: usize = 16;
 const LEAST_INSTANTS: usize = 4;
-/// Where things move by less over the exposure, in pixels, nothing is blurred.
+/// Motion over the exposure, pixels, below which nothing is deblurred.
 const STILL: f32 = 0.25;
 /// Steps of the iteration: more of them sharpen noise as well.
 const STEPS: usize = 10;
@@ -24,14 +24,14 @@ const STEPS: usize = 10;
 const MOST: f32 = 4.0;
 
 /// An exposure of all rows, and the light in it.
-pub(super) struct Exposed<'a> {
+pub(super) struct ExposureLight<'a> {
     pub tracks: &'a LogTracks,
-    pub path: &'a Path<'a>,
+    pub path: &'a MotionPath<'a>,
     pub times: &'a FrameTimes,
     pub frame: usize,
 }
 
-impl Exposed<'_> {
+impl ExposureLight<'_> {
     fn size(&self) -> (usize, usize) {
         (self.tracks.extent.width as usize, self.tracks.extent.height as usize)
     }
@@ -56,16 +56,16 @@ impl Exposed<'_> {
     }
 
     /// The middle of the exposure of each row.
-    pub(super) fn middle(&self) -> Vec<i64> {
+    pub(super) fn mid_exposure(&self) -> Vec<i64> {
         self.instants(0.5)
     }
 }
 
 /// Sharpens the `ratios` of a frame.
-pub(super) fn sharpen(ratios: &mut [Image], exposed: &Exposed<'_>) {
+pub(super) fn sharpen(ratios: &mut [Image], exposed: &ExposureLight<'_>) {
     let size = exposed.size();
-    let (start, middle, end) = (exposed.instants(0.0), exposed.middle(), exposed.instants(1.0));
-    let moved = |from: &[i64], to: &[i64]| exposed.path.places(size, from, &|row| to[row]);
+    let (start, middle, end) = (exposed.instants(0.0), exposed.mid_exposure(), exposed.instants(1.0));
+    let moved = |from: &[i64], to: &[i64]| exposed.path.follow_pixels(size, from, &|row| to[row]);
     let farthest = (moved(&middle, &start).iter().chain(&moved(&middle, &end)).enumerate())
         .map(|(k, (x, y))| {
             let k = k % (size.0 * size.1);
@@ -76,13 +76,13 @@ pub(super) fn sharpen(ratios: &mut [Image], exposed: &Exposed<'_>) {
         return;
     }
     let count = ((2.0 * farthest) as usize).clamp(LEAST_INSTANTS, MOST_INSTANTS);
-    let instants: Vec<Moment> = (0..count)
+    let instants: Vec<ExposureInstant> = (0..count)
         .map(|n| {
             let t_ns = exposed.instants((n as f64 + 0.5) / count as f64);
-            Moment {
+            ExposureInstant {
                 light: exposed.light(&t_ns),
-                to_middle: Taps::new(exposed.path, size, &t_ns, &|row| middle[row]),
-                from_middle: Taps::new(exposed.path, size, &middle, &|row| t_ns[row]),
+                to_middle: BilinearTaps::new(exposed.path, size, &t_ns, &|row| middle[row]),
+                from_middle: BilinearTaps::new(exposed.path, size, &middle, &|row| t_ns[row]),
             }
         })
         .collect();
@@ -92,9 +92,9 @@ pub(super) fn sharpen(ratios: &mut [Image], exposed: &Exposed<'_>) {
             let correction = correction(&collected, ratio, &instants);
             let step = |k: usize| {
                 let (mut sum, mut weight) = (0.0, 0.0);
-                for Moment { light, from_middle, .. } in &instants {
-                    let light = from_middle.of(light, k);
-                    sum += light * from_middle.of(&correction, k);
+                for ExposureInstant { light, from_middle, .. } in &instants {
+                    let light = from_middle.read(light, k);
+                    sum += light * from_middle.read(&correction, k);
                     weight += light;
                 }
                 if weight > 0.0 { sum / weight } else { 1.0 }
@@ -105,20 +105,20 @@ pub(super) fn sharpen(ratios: &mut [Image], exposed: &Exposed<'_>) {
 }
 
 /// An instant of an exposure.
-struct Moment {
+struct ExposureInstant {
     light: Image,
-    /// Where what is at a pixel is at the middle of the exposure.
-    to_middle: Taps,
-    /// Where what is at a pixel at the middle is now.
-    from_middle: Taps,
+    /// Places, at mid-exposure, of the objects at each pixel now,
+    to_middle: BilinearTaps,
+    /// and places now of the objects at each pixel at mid-exposure.
+    from_middle: BilinearTaps,
 }
 
-/// By what each pixel's collected ratio exceeds what these ratios would have given.
-fn correction(collected: &Image, ratio: &Image, instants: &[Moment]) -> Image {
+/// Correction: each pixel's measured ratio over the prediction from these ratios.
+fn correction(collected: &Image, ratio: &Image, instants: &[ExposureInstant]) -> Image {
     let of = |(k, collected): (usize, &f32)| {
         let (mut sum, mut weight) = (0.0, 0.0);
-        for Moment { light, to_middle, .. } in instants {
-            sum += light.values[k] * to_middle.of(ratio, k);
+        for ExposureInstant { light, to_middle, .. } in instants {
+            sum += light.values[k] * to_middle.read(ratio, k);
             weight += light.values[k];
         }
         if sum > 0.0 { (collected * weight / sum).clamp(1.0 / MOST, MOST) } else { 1.0 }

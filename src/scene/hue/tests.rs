@@ -1,7 +1,7 @@
 //! Hue that moves in closed form, and light of one mixture under it.
 
 use super::*;
-use crate::film::Fired;
+use crate::film::EventTimes;
 use crate::flow::Flow;
 use photocurrent_core::random::Random;
 use photocurrent_core::{Colour, Exposure, Extent, FrameBlock, FramesMeta, Sensor, TrackBand, testing};
@@ -68,7 +68,7 @@ fn tracks() -> LogTracks {
             (n * KNOT_NS, libm::exp(log(u, v)) as f32)
         }));
     }
-    LogTracks::new(EXTENT, band, &Arc::new(Fired::new(pixels().map(|_| Vec::new()))))
+    LogTracks::new(EXTENT, band, &Arc::new(EventTimes::new(pixels().map(|_| Vec::new()))))
 }
 
 fn size() -> (usize, usize) {
@@ -79,8 +79,8 @@ fn size() -> (usize, usize) {
 /// and the ratios.
 fn error(frames: &FrameSequence, velocity: [f64; 2], t_ns: i64) -> (f64, Vec<Image>) {
     let flow = Flow::uniform(size(), velocity.map(|v| v as f32), [0.0; 2]);
-    let path = Path::new(&flow);
-    let grey = Grey::new(EXTENT, &frames.meta, &Sensor::unknown("")).unwrap();
+    let path = MotionPath::new(&flow);
+    let grey = GreyFrames::new(EXTENT, &frames.meta, &Sensor::unknown("")).unwrap();
     let hues = Hues::new(grey, frames, (&tracks(), GAIN), &path, None).unwrap();
     let values = pixels()
         .map(|(x, y)| {
@@ -126,9 +126,9 @@ fn hue_of_a_long_exposure_is_sharpened() {
     // Six milliseconds: five pixels.
     let frames = captured(6_000_000, 0.0);
     let (sharp, _) = error(&frames, SPEED, 12_000_000);
-    let grey = Grey::new(EXTENT, &frames.meta, &Sensor::unknown("")).unwrap();
+    let grey = GreyFrames::new(EXTENT, &frames.meta, &Sensor::unknown("")).unwrap();
     let block = frames.read_rows(EXTENT.rows()).unwrap();
-    let mixture = grey.read(&frames, Clipped::Mean).unwrap();
+    let mixture = grey.read(&frames, SaturatedMean::Mean).unwrap();
     let (mut sum, mut count) = (0.0, 0.0);
     for (x, y) in pixels().filter(|(x, y)| (9..31).contains(x) && (6..18).contains(y)) {
         let (u, v) = at(x, y, 12_000_000);
@@ -155,9 +155,9 @@ fn noise_of_hue_is_averaged_where_hues_are_alike() {
 #[test]
 fn a_path_follows_the_motion_to_the_row_that_is_exposed_then() {
     let flow = Flow::uniform(size(), [0.5, 1.0], [0.0; 2]);
-    let path = Path::new(&flow);
+    let path = MotionPath::new(&flow);
     // Each row there is exposed 0.1 ms after the one before: what moves down meets its row later.
-    let places = path.places(size(), &[0; 24], &|row| 2_000_000 + row as i64 * 100_000);
+    let places = path.follow_pixels(size(), &[0; 24], &|row| 2_000_000 + row as i64 * 100_000);
     let (x, y) = places[4 * 40 + 10];
     // It arrives in row 6, at 2.6 ms.
     assert!((x - 11.3).abs() < 1e-3 && (y - 6.6).abs() < 1e-3, "({x}, {y})");

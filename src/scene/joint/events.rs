@@ -2,11 +2,11 @@
 
 use super::super::picture::motion::{DEGREES, apply, derivatives, map_of};
 use super::super::picture::spline::{ORDER, weights};
-use super::fields::Fields;
-use super::lines::{Derived, Lines};
+use super::fields::GridFields;
+use super::lines::{SparseDerivatives, SparseRows};
 use crate::case::Case;
-use crate::free::{Predicted, rise};
-use crate::picture::Picture;
+use crate::free::{PixelPrediction, rise};
+use crate::picture::ScenePicture;
 use rayon::prelude::*;
 
 /// Gauss-Laguerre instants of the front end's memory, in time constants before, and their shares.
@@ -23,34 +23,35 @@ const RISE_NS: i64 = 100_000;
 /// Events as rows, in order of pixel and time.
 pub(super) struct OfEvents {
     /// Of their excesses.
-    pub lines: Lines,
+    pub lines: SparseRows,
     /// Of the logarithms of how fast the voltage rises when they fire.
-    pub rises: Lines,
+    pub rises: SparseRows,
     /// Place of the pixel, number among its predicted events, and whether both places that the event compares
     /// are on the picture and near each other.
     pub of: Vec<(u32, u32, bool)>,
 }
 
 impl OfEvents {
-    fn none() -> OfEvents {
-        OfEvents { lines: Lines::new(), rises: Lines::new(), of: Vec::new() }
+    fn empty() -> OfEvents {
+        OfEvents { lines: SparseRows::new(), rises: SparseRows::new(), of: Vec::new() }
     }
 }
 
-/// Rows of all predicted events: what the voltage's change from reference to event derives from. The voltage
-/// is log light with the front end's lag, its time constant that of the light when it is read.
+/// Rows of all predicted events: derivatives of the voltage's change from reference to event. The voltage is
+/// log light with the front end's lag, its time constant that of the light when it is read.
 pub(super) fn lines(
     case: &Case,
-    picture: &Picture,
-    (pixels, predicted): (&[u32], &[Predicted]),
+    picture: &ScenePicture,
+    (pixels, predicted): (&[u32], &[PixelPrediction]),
     reach: usize,
 ) -> OfEvents {
     let parts: Vec<OfEvents> = predicted
         .par_chunks(64)
         .enumerate()
         .map(|(chunk, of)| {
-            let mut part = OfEvents::none();
-            let mut at = [Derived::default(), Derived::default(), Derived::default()];
+            let mut part = OfEvents::empty();
+            let mut at =
+                [SparseDerivatives::default(), SparseDerivatives::default(), SparseDerivatives::default()];
             for (n, predicted) in of.iter().enumerate() {
                 let place = chunk * 64 + n;
                 let pixel = pixels[place] as usize;
@@ -61,7 +62,7 @@ pub(super) fn lines(
                         .zip(&mut at)
                         .all(|(t_ns, at)| voltage(case, picture, predicted, (pixel, t_ns), at));
                     let [now, reference, before] = &at;
-                    let is_near = is_whole && is_within(&at, &Fields::of(picture), reach + 4);
+                    let is_near = is_whole && is_within(&at, &GridFields::from_picture(picture), reach + 4);
                     let by = event.polarity / (1e-9 * before_ns as f64 * rise(event));
                     part.lines.push_difference((now, reference), 1.0, is_near);
                     part.rises.push_difference((now, before), by, is_near);
@@ -71,7 +72,7 @@ pub(super) fn lines(
             part
         })
         .collect();
-    let mut all = OfEvents::none();
+    let mut all = OfEvents::empty();
     for part in parts {
         all.lines.extend(&part.lines);
         all.rises.extend(&part.rises);
@@ -81,7 +82,7 @@ pub(super) fn lines(
 }
 
 /// Do coefficients lie within `most` of each other along both axes?
-fn is_within(of: &[Derived], fields: &Fields, most: usize) -> bool {
+fn is_within(of: &[SparseDerivatives], fields: &GridFields, most: usize) -> bool {
     let (mut low, mut high) = ((usize::MAX, usize::MAX), (0, 0));
     for (at, _) in of.iter().flat_map(|of| &of.of_picture) {
         let k = *at as usize / fields.count;
@@ -92,22 +93,22 @@ fn is_within(of: &[Derived], fields: &Fields, most: usize) -> bool {
     high.0 - low.0.min(high.0) <= most && high.1 - low.1.min(high.1) <= most
 }
 
-/// What the voltage of a pixel at an instant derives from; false where the picture does not reach.
+/// Derivatives of a pixel's voltage at an instant; `false` outside of the picture.
 fn voltage(
     case: &Case,
-    picture: &Picture,
-    predicted: &Predicted,
+    picture: &ScenePicture,
+    predicted: &PixelPrediction,
     (pixel, t_ns): (usize, i64),
-    derived: &mut Derived,
+    derived: &mut SparseDerivatives,
 ) -> bool {
-    let Derived { of_picture, of_rest } = derived;
+    let SparseDerivatives { of_picture, of_rest } = derived;
     of_picture.clear();
     of_rest.clear();
-    let (x, y) = case.place(pixel);
+    let (x, y) = case.pixel_place(pixel);
     let place = (f64::from(x) - picture.centre.0, f64::from(y) - picture.centre.1);
     let shade = picture.shade(place);
-    let fields = Fields::of(picture);
-    let behind = picture.behind(pixel);
+    let fields = GridFields::from_picture(picture);
+    let behind = picture.still_ground(pixel);
     if behind.is_some_and(|behind| !behind.ground.is_finite()) {
         return false;
     }
@@ -151,19 +152,19 @@ fn voltage(
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::picture::spline::Grid;
+    use super::super::super::picture::spline::SplineGrid;
     use super::*;
 
     #[test]
     fn every_place_of_an_event_has_to_be_within_reach() {
-        let grid = Grid { x0: 0.0, y0: 0.0, pitch: 1.0, width: 16, height: 12 };
+        let grid = SplineGrid { x0: 0.0, y0: 0.0, pitch: 1.0, width: 16, height: 12 };
         // Before a still ground two fields share each place.
-        let fields = Fields { grid, count: 2 };
-        let at = |x: usize, y: usize| Derived {
+        let fields = GridFields { grid, count: 2 };
+        let at = |x: usize, y: usize| SparseDerivatives {
             of_picture: vec![(fields.unknown(1, y * fields.grid.width + x) as u32, 1.0)],
             of_rest: Vec::new(),
         };
-        let is_near = |of: &[Derived]| is_within(of, &fields, 4);
+        let is_near = |of: &[SparseDerivatives]| is_within(of, &fields, 4);
         assert!(is_near(&[at(3, 3), at(7, 3), at(3, 7)]));
         // Any of the three too far along any axis.
         for n in 0..3 {

@@ -1,20 +1,20 @@
-//! The fields of a joint picture on its grid: the picture and, before a still ground, how much of that it
-//! hides. At one place their coefficients stand side by side among the unknowns, as measurements couple them.
+//! The fields of a joint picture on its grid: the picture and, before a still ground, its opacity. At one
+//! place their coefficients are adjacent among the unknowns, as measurements couple them.
 
-use super::super::picture::spline::Grid;
-use crate::picture::Picture;
+use super::super::picture::spline::SplineGrid;
+use crate::picture::ScenePicture;
 
 /// Fields on a grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Fields {
-    pub grid: Grid,
+pub(super) struct GridFields {
+    pub grid: SplineGrid,
     /// 1, or 2 before a still ground.
     pub count: usize,
 }
 
-impl Fields {
-    pub(super) fn of(picture: &Picture) -> Fields {
-        Fields { grid: picture.grid, count: if picture.ground.is_empty() { 1 } else { 2 } }
+impl GridFields {
+    pub(super) fn from_picture(picture: &ScenePicture) -> GridFields {
+        GridFields { grid: picture.grid, count: if picture.ground.is_empty() { 1 } else { 2 } }
     }
 
     /// Number of coefficients of all fields.

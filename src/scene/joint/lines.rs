@@ -1,12 +1,12 @@
-//! Rows of the joint problem: what each measurement derives from, of the picture and of the rest.
+//! Rows of the joint problem: derivatives of each measurement by the picture and by the other unknowns.
 
-use super::super::picture::rows::Rows;
-use super::fields::Fields;
+use super::super::picture::rows::MeasurementRows;
+use super::fields::GridFields;
 use std::ops::Range;
 
 /// Sparse rows: derivatives by coefficients of the picture, rising, and by motion and shading.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Lines {
+pub(super) struct SparseRows {
     first: Vec<usize>,
     at: Vec<u32>,
     by: Vec<f32>,
@@ -15,18 +15,18 @@ pub(super) struct Lines {
     rest_by: Vec<f32>,
 }
 
-impl Lines {
-    pub(super) fn new() -> Lines {
-        Lines { first: vec![0], rest_first: vec![0], ..Lines::default() }
+impl SparseRows {
+    pub(super) fn new() -> SparseRows {
+        SparseRows { first: vec![0], rest_first: vec![0], ..SparseRows::default() }
     }
 
     pub(super) fn len(&self) -> usize {
         self.first.len() - 1
     }
 
-    /// Frame values as the picture's own fit lays them, in its order.
-    pub(super) fn of_frames(rows: &Rows, fields: &Fields, knots: usize) -> Lines {
-        let mut lines = Lines::new();
+    /// Rows of frame values, from the picture's own fit and in its order.
+    pub(super) fn from_frame_rows(rows: &MeasurementRows, fields: &GridFields, knots: usize) -> SparseRows {
+        let mut lines = SparseRows::new();
         for r in 0..rows.count() {
             let (corner, columns, stencil) = rows.line(r);
             // What is hidden of a still ground is missing.
@@ -53,7 +53,12 @@ impl Lines {
     }
 
     /// Takes a row in: the difference of two, times a factor; an empty one where it takes no part.
-    pub(super) fn push_difference(&mut self, (a, b): (&Derived, &Derived), by: f64, takes_part: bool) {
+    pub(super) fn push_difference(
+        &mut self,
+        (a, b): (&SparseDerivatives, &SparseDerivatives),
+        by: f64,
+        takes_part: bool,
+    ) {
         if takes_part {
             difference(&a.of_picture, &b.of_picture, by as f32, &mut self.at, &mut self.by);
             difference(&a.of_rest, &b.of_rest, by as f32, &mut self.rest_at, &mut self.rest_by);
@@ -67,7 +72,7 @@ impl Lines {
     }
 
     /// Rows of another list behind these.
-    pub(super) fn extend(&mut self, other: &Lines) {
+    pub(super) fn extend(&mut self, other: &SparseRows) {
         let (begun, rest_begun) = (self.at.len(), self.rest_at.len());
         self.first.extend(other.first[1..].iter().map(|at| at + begun));
         self.rest_first.extend(other.rest_first[1..].iter().map(|at| at + rest_begun));
@@ -84,15 +89,15 @@ impl Lines {
     }
 
     /// And by the rest.
-    pub(super) fn rest(&self, r: usize) -> (&[u16], &[f32]) {
+    pub(super) fn other_derivatives(&self, r: usize) -> (&[u16], &[f32]) {
         let of: Range<usize> = self.rest_first[r]..self.rest_first[r + 1];
         (&self.rest_at[of.clone()], &self.rest_by[of])
     }
 
     /// Derivative of row `r` along a step of `picture` coefficients and of the rest behind them.
-    pub(super) fn along(&self, r: usize, step: &[f64], picture: usize) -> f64 {
+    pub(super) fn directional_derivative(&self, r: usize, step: &[f64], picture: usize) -> f64 {
         let (at, by) = self.picture(r);
-        let (rest_at, rest_by) = self.rest(r);
+        let (rest_at, rest_by) = self.other_derivatives(r);
         let of_picture: f64 = at.iter().zip(by).map(|(at, by)| f64::from(*by) * step[*at as usize]).sum();
         let of_rest: f64 = rest_at
             .iter()
@@ -103,22 +108,22 @@ impl Lines {
     }
 
     /// Adds row `r` times a factor to a vector of all unknowns.
-    pub(super) fn add(&self, r: usize, factor: f64, to: &mut [f64], picture: usize) {
+    pub(super) fn add_row(&self, r: usize, factor: f64, to: &mut [f64], picture: usize) {
         let (at, by) = self.picture(r);
         at.iter().zip(by).for_each(|(at, by)| to[*at as usize] += factor * f64::from(*by));
-        let (at, by) = self.rest(r);
+        let (at, by) = self.other_derivatives(r);
         at.iter().zip(by).for_each(|(at, by)| to[picture + usize::from(*at)] += factor * f64::from(*by));
     }
 }
 
-/// What one value derives from, by unknowns of the picture and of the rest.
+/// Derivatives of one value by the unknowns of the picture and by the others.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Derived {
+pub(super) struct SparseDerivatives {
     pub of_picture: Vec<(u32, f32)>,
     pub of_rest: Vec<(u16, f32)>,
 }
 
-impl Derived {
+impl SparseDerivatives {
     /// Puts derivatives in order of their unknowns, those by one added up.
     pub(super) fn sum(&mut self) {
         sum(&mut self.of_picture);
@@ -137,11 +142,17 @@ fn sum<A: Ord + Copy>(row: &mut Vec<(A, f32)>) {
     });
 }
 
-/// What is derived from, rising, with derivatives.
-type Row<A> = [(A, f32)];
+/// Indices of unknowns, rising, with derivatives.
+type SparseRow<A> = [(A, f32)];
 
 /// Puts the difference of two ordered rows, times a factor, behind others.
-fn difference<A: Ord + Copy>(a: &Row<A>, b: &Row<A>, by: f32, to: &mut Vec<A>, to_by: &mut Vec<f32>) {
+fn difference<A: Ord + Copy>(
+    a: &SparseRow<A>,
+    b: &SparseRow<A>,
+    by: f32,
+    to: &mut Vec<A>,
+    to_by: &mut Vec<f32>,
+) {
     let (mut i, mut j) = (0, 0);
     while i < a.len() || j < b.len() {
         let (of_a, of_b) = (a.get(i), b.get(j));

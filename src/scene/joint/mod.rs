@@ -22,7 +22,7 @@
 //! ground's values are times; these stay as frames have them.
 //!
 //! Limits: one affine motion; a surface sharper than its pitch is softened, which is finer on a part of the
-//! array ([`Part`]).
+//! array ([`ArrayPart`]).
 
 mod events;
 mod fields;
@@ -35,30 +35,30 @@ mod score;
 
 use crate::block::Block;
 use crate::case::Case;
-use crate::free::{FreeScene, Noise, Predicted, PredictedEvent, Score, frame_scale, line};
-use crate::light::Light;
+use crate::free::{FreeScene, PixelPrediction, PredictedEvent, SceneNoise, Score, frame_scale, line};
+use crate::light::LogLight;
 use crate::moving::MovingPicture;
 use crate::nominal::Nominal;
-use crate::picture::{Picture, PictureSetting};
-use crate::scene::{Cell, Scene};
+use crate::picture::{PictureSetting, ScenePicture};
+use crate::scene::{Scene, SceneCell};
 use crate::statistics::{MEDIAN_T, median};
-use fields::Fields;
-use normal::Factor;
+use fields::GridFields;
+use normal::NormalFactor;
+pub use part::ArrayPart;
 use part::LARGEST;
-pub use part::Part;
 use photocurrent_core::random::Random;
-use prior::Prior;
-use problem::{FrameRows, Problem, Standing};
+use prior::DifferencePrior;
+use problem::{CurrentPicture, FrameRows, JointRows};
 use std::sync::Arc;
 
 /// No frame value sees more coefficients in a line than this, in memory of some hundreds of megabytes.
 const FARTHEST: usize = 24;
 /// Degrees of freedom of an event at most.
 const MOST_FREE: f64 = 0.7;
-/// A step that raises what is minimised is taken again by this share of it, so many times at most.
+/// Factor by which a step that raises the objective is shortened, and the number of times.
 const SHORTER: f64 = 0.4;
 const TIMES_SHORTER: usize = 2;
-/// A factor stands while the noise of events changes by less than this.
+/// Ratio of the event noise up to which a factor is kept.
 const SAME_NOISE: f64 = 1.25;
 /// Noise that changes by less than this from round to round has settled.
 const SETTLED: f64 = 1.1;
@@ -66,9 +66,9 @@ const SETTLED: f64 = 1.1;
 /// thresholds, and seconds.
 const BINS: usize = 8;
 const LEAST_NOISE: (f64, f64) = (0.003, 1e-6);
-/// What a picture gets wrong at an edge is alike within this share of its pitch.
+/// Size of the cells within which errors at an edge are common, as a share of the pitch.
 const CELL: f64 = 0.4;
-/// So many rounds at least.
+/// Least number of rounds.
 const FIRST_ROUNDS: u64 = 3;
 /// Seed of posterior samples.
 const SEED: u64 = 11;
@@ -87,66 +87,66 @@ pub struct JointPicture {
     /// Of each of its pixels: do its events take part? Otherwise gains are measured on them.
     is_trained: Vec<bool>,
     /// Of the measurements.
-    noise: Noise,
+    noise: SceneNoise,
     /// Median standard deviation of events, as a share of their thresholds; and that before the last round.
     typical: f64,
     typical_before: f64,
-    prior: Prior,
+    prior: DifferencePrior,
     /// Share of its information that an event has about itself, in the mean.
     free: f64,
     rounds: u64,
     /// Before the last step.
-    before: Option<Before>,
+    before: Option<StepToShorten>,
     /// The factor of an earlier linearisation, while noise is about as it was.
-    factor: Option<Factored>,
+    factor: Option<FactorAndNoise>,
     /// Frame values as rows, once the picture hardly moves: their derivatives and weights stand from then on.
     frames: Option<Arc<FrameRows>>,
 }
 
-/// A factor, and what the noise of events was.
+/// A factor of the normal equations, and its event noise.
 #[derive(Clone)]
-struct Factored {
-    factor: Arc<Factor>,
+struct FactorAndNoise {
+    factor: Arc<NormalFactor>,
     typical: f64,
 }
 
-/// A step that may be too long.
+/// A step that may have to be shortened.
 #[derive(Clone, Debug)]
-struct Before {
+struct StepToShorten {
     scene: Arc<MovingPicture>,
     step: Vec<f64>,
-    /// What it should lessen.
+    /// The objective before it.
     objective: f64,
     times: usize,
 }
 
 impl JointPicture {
-    /// Begins with a picture that was fitted to the frames, on a part of the array. `is_trained`: of each
-    /// pixel of the array, do its events take part? `step_ns`: instants of predicted light.
+    /// From a picture that was fitted to the frames, on a part of the array. `is_trained`: per pixel of the
+    /// array, are its events fitted? `step_ns`: step of the predicted light.
     ///
     /// # Errors
     /// Where the picture is too large for a factor.
-    pub fn begin(
+    pub fn new(
         case: &Case,
         nominal: &Nominal,
-        (scene, part): (&MovingPicture, &Part),
+        (scene, part): (&MovingPicture, &ArrayPart),
         is_trained: &[bool],
         step_ns: i64,
-        noise: Noise,
+        noise: SceneNoise,
     ) -> Result<JointPicture, String> {
-        let Part { block, pitch } = *part;
+        let ArrayPart { block, pitch } = *part;
         let setting = PictureSetting { pitch, ..scene.setting };
         let picture = scene.picture.on_block(case, nominal, &setting, &block);
-        let fields = Fields::of(&picture);
+        let fields = GridFields::from_picture(&picture);
         let count = fields.coefficients();
-        let reach = problem::reach(case, nominal, &picture, &setting, &block);
+        let reach = problem::coefficients_per_line(case, nominal, &picture, &setting, &block);
         if count > LARGEST || reach > FARTHEST {
             return Err(format!(
                 "a picture of {count} coefficients, of which a frame value sees {reach} in a line, is more \
                  than frames and events together are fitted to: {LARGEST}, and {FARTHEST} in a line"
             ));
         }
-        let prior = Prior::estimate(&fields, &fields.unknowns(&picture.surface), None);
+        let prior = DifferencePrior::estimate(&fields, &fields.unknowns(&picture.surface), None);
         let scene = MovingPicture::new(picture, &setting, case, nominal);
         let pixels = block.pixels(case.extent);
         let mut place_of = vec![u32::MAX; case.extent.pixels()];
@@ -172,11 +172,11 @@ impl JointPicture {
         })
     }
 
-    fn picture(&self) -> &Picture {
+    fn picture(&self) -> &ScenePicture {
         &self.scene.picture
     }
 
-    fn standing(&self) -> Standing<'_> {
+    fn current(&self) -> CurrentPicture<'_> {
         let JointPicture {
             case,
             nominal,
@@ -191,41 +191,42 @@ impl JointPicture {
             ..
         } = self;
         let frames = frames.as_ref();
-        Standing { case, nominal, scene, block, pixels, place_of, is_trained, noise, prior, frames }
+        CurrentPicture { case, nominal, scene, block, pixels, place_of, is_trained, noise, prior, frames }
     }
 
-    /// The factor that is kept, where the noise is about as it was; or else one of the rows as they are.
-    fn kept(&self, problem: &Problem) -> Option<Factored> {
+    /// The kept factor, where the noise has hardly changed; otherwise a new one of the present rows.
+    fn reusable_factor(&self, problem: &JointRows) -> Option<FactorAndNoise> {
         match self.factor.as_ref().filter(|kept| self.is_near(kept)) {
             Some(kept) => Some(kept.clone()),
-            None => {
-                Some(Factored { factor: Arc::new(self.standing().factored(problem)?), typical: self.typical })
-            }
+            None => Some(FactorAndNoise {
+                factor: Arc::new(self.current().factored(problem)?),
+                typical: self.typical,
+            }),
         }
     }
 
-    /// Has the scene been made ready for effects? Before each round has a factor of its own.
+    /// Is the scene ready for effects? Before, each round has its own factor.
     fn has_begun(&self) -> bool {
         self.frames.is_some()
     }
 
     /// Is the noise of events about as it was for a factor?
-    fn is_near(&self, kept: &Factored) -> bool {
+    fn is_near(&self, kept: &FactorAndNoise) -> bool {
         let ratio = self.typical / kept.typical;
         ratio < SAME_NOISE && 1.0 / ratio < SAME_NOISE
     }
 
-    /// Takes a step of all unknowns from a picture.
-    fn take(&mut self, from: &Arc<MovingPicture>, step: &[f64], share: f64) {
+    /// Applies a share of a step of all unknowns to a picture.
+    fn apply_step(&mut self, from: &Arc<MovingPicture>, step: &[f64], share: f64) {
         let mut picture = from.picture.clone();
-        picture.step(&Fields::of(&picture).by_field(step), share);
+        picture.move_by(&GridFields::from_picture(&picture).by_field(step), share);
         self.scene = Arc::new(MovingPicture::new(picture, &from.setting, &self.case, &self.nominal));
     }
 
     /// Events that take part, or those that do not.
     fn events<'a>(
         &'a self,
-        predicted: &'a [Predicted],
+        predicted: &'a [PixelPrediction],
         is: bool,
     ) -> impl Iterator<Item = &'a PredictedEvent> {
         let of = predicted.iter().zip(&self.is_trained).filter(move |(_, is_trained)| **is_trained == is);
@@ -235,7 +236,7 @@ impl JointPicture {
     /// The noise of events that take part, or of those that do not, from what is left of them, `free` of
     /// their information being about themselves: robust scales in bins of slopes, as a part of thresholds
     /// and a part of stamps.
-    fn event_noise(&self, predicted: &[Predicted], is_trained: bool, free: f64) -> Noise {
+    fn event_noise(&self, predicted: &[PixelPrediction], is_trained: bool, free: f64) -> SceneNoise {
         let of = |event: &PredictedEvent| {
             let slope = event.slope_per_s / event.threshold;
             (slope * slope, event.excess.abs() / event.threshold)
@@ -252,15 +253,15 @@ impl JointPicture {
         };
         let levels: Vec<(f64, f64)> = sizes.chunks(sizes.len().div_ceil(BINS)).map(level).collect();
         let (share, stamp) = line(&levels);
-        Noise {
+        SceneNoise {
             threshold_share: share.sqrt().max(LEAST_NOISE.0),
             stamp_s: stamp.sqrt().max(LEAST_NOISE.1),
             ..self.noise
         }
     }
 
-    /// Takes the noise of events from what is left of them.
-    fn take_noise(&mut self, predicted: &[Predicted]) {
+    /// Estimates the event noise from the residuals.
+    fn take_noise(&mut self, predicted: &[PixelPrediction]) {
         self.noise = self.event_noise(predicted, true, self.free);
         let of = |event: &PredictedEvent| self.noise.event_variance(event).sqrt() / event.threshold;
         let mut deviations: Vec<f64> = self.events(predicted, true).map(of).collect();
@@ -269,21 +270,21 @@ impl JointPicture {
         }
     }
 
-    fn newton(&mut self, predicted: &[Predicted], is_measured: bool) {
-        let problem = self.standing().problem(predicted);
+    fn newton(&mut self, predicted: &[PixelPrediction], is_measured: bool) {
+        let problem = self.current().problem(predicted);
         if self.rounds < FIRST_ROUNDS {
             self.factor = None;
         }
         let is_new = self.factor.is_none();
-        let Some(kept) = self.kept(&problem) else { return };
+        let Some(kept) = self.reusable_factor(&problem) else { return };
         let is_new =
             is_new || self.factor.as_ref().is_some_and(|one| !Arc::ptr_eq(&one.factor, &kept.factor));
         let is_measured = is_measured && is_new;
         let factor = kept.factor.clone();
         self.factor = Some(kept);
-        let fields = self.standing().fields();
+        let fields = self.current().fields();
         let count = fields.coefficients();
-        let mut sides = vec![self.standing().gradient(&problem)];
+        let mut sides = vec![self.current().gradient(&problem)];
         if is_measured {
             let (of_events, sample) = self.probes(&problem, count);
             sides.push(of_events);
@@ -292,7 +293,7 @@ impl JointPicture {
         let probe = sides.get(1).cloned();
         factor.solve(&mut sides);
         if let Some(probe) = probe {
-            let events = problem.weight[problem.of_events()].iter().filter(|w| **w > 0.0).count().max(1);
+            let events = problem.weight[problem.event_rows()].iter().filter(|w| **w > 0.0).count().max(1);
             let trace: f64 = probe.iter().zip(&sides[1]).map(|(a, b)| a * b).sum();
             self.free = (trace / events as f64).clamp(0.0, MOST_FREE);
         }
@@ -301,29 +302,29 @@ impl JointPicture {
             return;
         }
         let from = self.scene.clone();
-        self.take(&from, &step, 1.0);
+        self.apply_step(&from, &step, 1.0);
         if is_measured {
-            let now = self.standing().unknowns();
-            self.prior = Prior::estimate(&fields, &now[..count], Some(&sides[2][..count]));
+            let now = self.current().unknowns();
+            self.prior = DifferencePrior::estimate(&fields, &now[..count], Some(&sides[2][..count]));
         }
-        let objective = Standing { scene: &from, ..self.standing() }.objective(predicted);
-        self.before = Some(Before { scene: from, step, objective, times: 0 });
+        let objective = CurrentPicture { scene: &from, ..self.current() }.objective(predicted);
+        self.before = Some(StepToShorten { scene: from, step, objective, times: 0 });
         self.rounds += 1;
     }
 
     /// A probe of the degrees of freedom of events, and the right side of a posterior sample.
-    fn probes(&self, problem: &Problem, count: usize) -> (Vec<f64>, Vec<f64>) {
+    fn probes(&self, problem: &JointRows, count: usize) -> (Vec<f64>, Vec<f64>) {
         let mut random = Random::new(SEED, &[self.rounds]);
-        let all = self.standing().unknowns().len();
+        let all = self.current().unknowns().len();
         let (mut of_events, mut sample) = (vec![0.0; all], vec![0.0; all]);
         for r in problem.used() {
             let by = problem.weight[r].sqrt() * random.normal();
-            if problem.of_events().contains(&r) {
-                problem.add(r, by, &mut of_events, count);
+            if problem.event_rows().contains(&r) {
+                problem.add_row(r, by, &mut of_events, count);
             }
-            problem.add(r, by, &mut sample, count);
+            problem.add_row(r, by, &mut sample, count);
         }
-        self.prior.each(&self.standing().fields(), |at, by, weight| {
+        self.prior.for_each_difference(&self.current().fields(), |at, by, weight| {
             let draw = weight.sqrt() * random.normal();
             at.iter().zip(by).for_each(|(at, by)| sample[*at] += draw * by);
         });
@@ -339,7 +340,7 @@ impl FreeScene for JointPicture {
         &self.pixels
     }
 
-    fn light(&self, case: &Case) -> Light {
+    fn light(&self, case: &Case) -> LogLight {
         (&*self.scene as &dyn Scene).light_of(case, self.step_ns, &self.block)
     }
 
@@ -351,13 +352,13 @@ impl FreeScene for JointPicture {
         !self.is_trained[place]
     }
 
-    fn left(&self, predicted: &[Predicted]) -> f64 {
+    fn median_event_misfit(&self, predicted: &[PixelPrediction]) -> f64 {
         let mut sizes: Vec<f64> =
             self.events(predicted, false).map(|event| event.excess.abs() / event.threshold).collect();
         if sizes.is_empty() { f64::NAN } else { median(&mut sizes) }
     }
 
-    fn cell(&self, case: &Case, pixel: usize, t_ns: i64) -> Option<Cell> {
+    fn cell(&self, case: &Case, pixel: usize, t_ns: i64) -> Option<SceneCell> {
         let side = CELL * self.picture().grid.pitch;
         Some((&*self.scene as &dyn Scene).cell(case, pixel, t_ns, side))
     }
@@ -366,8 +367,8 @@ impl FreeScene for JointPicture {
         self.rounds >= FIRST_ROUNDS && self.typical_before / self.typical < SETTLED
     }
 
-    fn round(&mut self, predicted: &[Predicted]) {
-        if self.back(predicted) {
+    fn newton_and_noise(&mut self, predicted: &[PixelPrediction]) {
+        if self.shorten_step(predicted) {
             return;
         }
         self.take_noise(predicted);
@@ -379,41 +380,51 @@ impl FreeScene for JointPicture {
         }
     }
 
-    fn settle(&mut self, predicted: &[Predicted]) {
-        if !self.back(predicted) {
+    fn newton_step(&mut self, predicted: &[PixelPrediction]) {
+        if !self.shorten_step(predicted) {
             self.newton(predicted, false);
         }
     }
 
-    fn score(&self, predicted: &[Predicted], columns: &[Vec<f32>], effects: usize) -> Vec<Option<Score>> {
-        let standing = self.standing();
+    fn score(
+        &self,
+        predicted: &[PixelPrediction],
+        columns: &[Vec<f32>],
+        effects: usize,
+    ) -> Vec<Option<Score>> {
+        let standing = self.current();
         let problem = standing.problem(predicted);
-        match self.kept(&problem) {
-            Some(Factored { factor, .. }) => {
+        match self.reusable_factor(&problem) {
+            Some(FactorAndNoise { factor, .. }) => {
                 score::scores(&standing, &problem, &factor, predicted, (columns, effects))
             }
             None => predicted.iter().map(|_| None).collect(),
         }
     }
 
-    fn gains(&self, predicted: &[Predicted], columns: &[Vec<f32>], sizes: &[f64]) -> Vec<Option<Vec<f64>>> {
-        let standing = self.standing();
+    fn gains(
+        &self,
+        predicted: &[PixelPrediction],
+        columns: &[Vec<f32>],
+        sizes: &[f64],
+    ) -> Vec<Option<Vec<f64>>> {
+        let standing = self.current();
         let problem = standing.problem(predicted);
-        let Some(Factored { factor, .. }) = self.kept(&problem) else {
+        let Some(FactorAndNoise { factor, .. }) = self.reusable_factor(&problem) else {
             return predicted.iter().map(|_| None).collect();
         };
-        let left_out = |moved: &[Predicted]| self.left_out(moved);
+        let left_out = |moved: &[PixelPrediction]| self.left_out(moved);
         let gains = score::gains(&standing, &problem, &factor, predicted, (columns, sizes), left_out);
         gains.into_iter().enumerate().map(|(place, of)| self.is_measured(place).then_some(of)).collect()
     }
 
-    fn objective(&self, predicted: &[Predicted]) -> f64 {
-        self.standing().objective(predicted)
+    fn objective(&self, predicted: &[PixelPrediction]) -> f64 {
+        self.current().objective(predicted)
     }
 
-    fn back(&mut self, predicted: &[Predicted]) -> bool {
+    fn shorten_step(&mut self, predicted: &[PixelPrediction]) -> bool {
         let Some(before) = self.before.take() else { return false };
-        if self.standing().objective(predicted) <= before.objective {
+        if self.current().objective(predicted) <= before.objective {
             return false;
         }
         if before.times == TIMES_SHORTER {
@@ -422,38 +433,40 @@ impl FreeScene for JointPicture {
             return true;
         }
         let share = libm::pow(SHORTER, before.times as f64 + 1.0);
-        self.take(&before.scene, &before.step, share);
-        self.before = Some(Before { times: before.times + 1, ..before });
+        self.apply_step(&before.scene, &before.step, share);
+        self.before = Some(StepToShorten { times: before.times + 1, ..before });
         true
     }
 
-    fn follow(&mut self, predicted: &[Predicted], columns: &[Vec<f32>], sizes: &[f64]) {
-        let standing = self.standing();
+    fn step_with_effects(&mut self, predicted: &[PixelPrediction], columns: &[Vec<f32>], sizes: &[f64]) {
+        let standing = self.current();
         let problem = standing.problem(predicted);
-        let Some(Factored { factor, .. }) = self.kept(&problem) else { return };
+        let Some(FactorAndNoise { factor, .. }) = self.reusable_factor(&problem) else { return };
         let step = score::step_with(&standing, &problem, &factor, predicted, (columns, sizes));
         if step.iter().all(|by| by.is_finite()) {
-            self.take(&self.scene.clone(), &step, 1.0);
+            self.apply_step(&self.scene.clone(), &step, 1.0);
         }
     }
 
-    fn event_gains(&self, with: &[Predicted], without: &[Predicted]) -> Vec<Vec<f64>> {
+    fn event_gains(&self, with: &[PixelPrediction], without: &[PixelPrediction]) -> Vec<Vec<f64>> {
         let noise = self.event_noise(with, false, 0.0);
-        let of = |(place, (with, without)): (usize, (&Predicted, &Predicted))| match self.is_measured(place) {
+        let of = |(place, (with, without)): (usize, (&PixelPrediction, &PixelPrediction))| match self
+            .is_measured(place)
+        {
             true => noise.event_gains(with, without, |_| 0.0),
             false => Vec::new(),
         };
         with.iter().zip(without).enumerate().map(of).collect()
     }
 
-    fn prepare(&mut self, predicted: &[Predicted]) {
+    fn prepare(&mut self, predicted: &[PixelPrediction]) {
         // What is predicted next may be another sensor's.
         self.before = None;
         self.frames = None;
-        let problem = self.standing().problem(predicted);
+        let problem = self.current().problem(predicted);
         self.frames = Some(problem.of_frames.clone());
         self.factor = None;
-        self.factor = self.kept(&problem);
+        self.factor = self.reusable_factor(&problem);
     }
 
     fn release(&mut self) {
@@ -461,7 +474,7 @@ impl FreeScene for JointPicture {
         self.frames = None;
     }
 
-    fn left_out(&self, predicted: &[Predicted]) -> Vec<f64> {
+    fn left_out(&self, predicted: &[PixelPrediction]) -> Vec<f64> {
         let noise = self.event_noise(predicted, false, 0.0);
         let counts = |place: usize| self.is_measured(place) && !predicted[place].events.is_empty();
         let mut misfits: Vec<f64> = (0..predicted.len())
@@ -469,7 +482,7 @@ impl FreeScene for JointPicture {
             .flat_map(|place| predicted[place].frames.iter().map(|frame| noise.frame_misfit(frame).abs()))
             .collect();
         let scale = frame_scale(&mut misfits);
-        let of = |(place, of): (usize, &Predicted)| -> f64 {
+        let of = |(place, of): (usize, &PixelPrediction)| -> f64 {
             if !counts(place) {
                 return 0.0;
             }

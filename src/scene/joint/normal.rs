@@ -4,7 +4,7 @@
 //! by `faer` (supernodal, with a fill-reducing order). Motion and shading are few: they follow by the Schur
 //! complement (Golub and Van Loan, Matrix Computations, 4.3).
 
-use super::lines::Lines;
+use super::lines::SparseRows;
 use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
 use faer::sparse::{SparseColMat, SymbolicSparseColMat};
@@ -12,7 +12,7 @@ use faer::{Mat, Side};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use std::ops::Range;
 
-/// Added to each diagonal element, as a share of the largest: what nothing measures.
+/// Ridge on each diagonal element, as a share of the largest: for unknowns without measurements.
 const RIDGE: f64 = 1e-12;
 
 /// Rows that are added up side by side, at least.
@@ -20,7 +20,7 @@ const LEAST_ROWS: usize = 16_384;
 
 /// Sums of the products of rows: the picture's block by distance on the grid, and the rest.
 #[derive(Clone)]
-pub(super) struct Sums {
+pub(super) struct NormalSums {
     width: usize,
     picture: usize,
     /// Largest distances that are coupled: columns, lines.
@@ -35,9 +35,9 @@ pub(super) struct Sums {
     place: Vec<usize>,
 }
 
-impl Sums {
-    pub(super) fn new(width: usize, picture: usize, rest: usize, reach: (usize, usize)) -> Sums {
-        Sums {
+impl NormalSums {
+    pub(super) fn new(width: usize, picture: usize, rest: usize, reach: (usize, usize)) -> NormalSums {
+        NormalSums {
             width,
             picture,
             reach,
@@ -49,7 +49,7 @@ impl Sums {
     }
 
     /// Distances of the coefficients that rows couple.
-    pub(super) fn reach_of(lines: &Lines, width: usize) -> (usize, usize) {
+    pub(super) fn reach_of(lines: &SparseRows, width: usize) -> (usize, usize) {
         let (mut columns, mut rows) = (0, 0);
         for r in 0..lines.len() {
             let (at, _) = lines.picture(r);
@@ -64,15 +64,15 @@ impl Sums {
     }
 
     /// Adds rows with a weight, in two halves where they are many.
-    pub(super) fn add_all(&mut self, lines: &Lines, weight: &[f64]) {
-        let add = |sums: &mut Sums, of: Range<usize>| {
+    pub(super) fn add_all(&mut self, lines: &SparseRows, weight: &[f64]) {
+        let add = |sums: &mut NormalSums, of: Range<usize>| {
             of.filter(|r| weight[*r] > 0.0).for_each(|r| sums.add(lines, r, weight[r]));
         };
         if lines.len() < LEAST_ROWS {
             return add(self, 0..lines.len());
         }
         let half = lines.len() / 2;
-        let mut other = Sums::new(self.width, self.picture, self.rest.nrows(), self.reach);
+        let mut other = NormalSums::new(self.width, self.picture, self.rest.nrows(), self.reach);
         rayon::join(|| add(self, 0..half), || add(&mut other, half..lines.len()));
         self.near.iter_mut().zip(&other.near).for_each(|(a, b)| *a += b);
         self.across.iter_mut().zip(&other.across).for_each(|(a, b)| *a += b);
@@ -80,7 +80,7 @@ impl Sums {
     }
 
     /// Adds row `r`, times a weight.
-    fn add(&mut self, lines: &Lines, r: usize, weight: f64) {
+    fn add(&mut self, lines: &SparseRows, r: usize, weight: f64) {
         let (at, by) = lines.picture(r);
         let (span, columns) = (2 * self.reach.0 + 1, (2 * self.reach.0 + 1) * (self.reach.1 + 1));
         self.place.clear();
@@ -92,7 +92,7 @@ impl Sums {
                 to[place + self.reach.0 - self.place[a]] += scale * f64::from(*by);
             }
         }
-        let (rest_at, rest_by) = lines.rest(r);
+        let (rest_at, rest_by) = lines.other_derivatives(r);
         let rest = self.rest.nrows();
         for (a, by_a) in at.iter().zip(by) {
             let scale = weight * f64::from(*by_a);
@@ -129,7 +129,7 @@ impl Sums {
     }
 
     /// The factor; none where the equations are singular.
-    pub(super) fn factor(self) -> Option<Factor> {
+    pub(super) fn factor(self) -> Option<NormalFactor> {
         let llt = self.sparse().and_then(|(matrix, symbolic)| {
             Llt::try_new_with_symbolic(symbolic, matrix.as_ref(), Side::Lower).ok()
         })?;
@@ -139,7 +139,7 @@ impl Sums {
         llt.solve_in_place(through.as_mut());
         let through = DMatrix::from_fn(picture, rest, |i, j| through[(i, j)]);
         let schur = Cholesky::new(&self.rest - across.transpose() * &through)?;
-        Some(Factor { llt, across, through, schur })
+        Some(NormalFactor { llt, across, through, schur })
     }
 
     /// The picture's block, its lower half.
@@ -165,7 +165,7 @@ impl Sums {
 }
 
 /// The factor of the normal equations.
-pub(super) struct Factor {
+pub(super) struct NormalFactor {
     llt: Llt<usize, f64>,
     across: DMatrix<f64>,
     /// The inverse of the picture's block times `across`.
@@ -173,7 +173,7 @@ pub(super) struct Factor {
     schur: Cholesky<f64, Dyn>,
 }
 
-impl Factor {
+impl NormalFactor {
     /// Solves for each of some right sides, in place: the picture's coefficients, then the rest.
     pub(super) fn solve(&self, sides: &mut [Vec<f64>]) {
         let (picture, rest) = (self.through.nrows(), self.through.ncols());
@@ -192,7 +192,7 @@ impl Factor {
 
 #[cfg(test)]
 mod tests {
-    use super::super::lines::Derived;
+    use super::super::lines::SparseDerivatives;
     use super::*;
     use photocurrent_core::random::Random;
 
@@ -201,7 +201,7 @@ mod tests {
         let (width, height, rest) = (9, 8, 3);
         let picture = width * height;
         let mut random = Random::new(5, &[]);
-        let mut lines = Lines::new();
+        let mut lines = SparseRows::new();
         for _ in 0..200 {
             let corner = (random.uniform() * 5.0) as usize + width * (random.uniform() * 5.0) as usize;
             let mut of_picture: Vec<(u32, f32)> =
@@ -209,17 +209,17 @@ mod tests {
             // One unknown twice.
             of_picture.push((corner as u32, 0.5));
             let of_rest: Vec<(u16, f32)> = (0..rest as u16).map(|n| (n, random.normal() as f32)).collect();
-            let mut row = Derived { of_picture, of_rest };
+            let mut row = SparseDerivatives { of_picture, of_rest };
             row.sum();
-            lines.push_difference((&row, &Derived::default()), 1.0, true);
+            lines.push_difference((&row, &SparseDerivatives::default()), 1.0, true);
         }
         let all = picture + rest;
         let mut dense = DMatrix::<f64>::identity(all, all);
-        let mut sums = Sums::new(width, picture, rest, Sums::reach_of(&lines, width));
+        let mut sums = NormalSums::new(width, picture, rest, NormalSums::reach_of(&lines, width));
         for r in 0..lines.len() {
             let weight = 0.5 + random.uniform();
             let mut row = vec![0.0; all];
-            lines.add(r, 1.0, &mut row, picture);
+            lines.add_row(r, 1.0, &mut row, picture);
             let row = DVector::from_vec(row);
             dense += weight * &row * row.transpose();
             sums.add(&lines, r, weight);

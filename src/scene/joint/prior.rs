@@ -1,7 +1,7 @@
-//! How far second differences of the picture go: a variance for each, by expectation and maximisation.
+//! Variances of the picture's second differences, one each, by expectation maximisation.
 
-use super::super::picture::spline::Grid;
-use super::fields::Fields;
+use super::super::picture::spline::SplineGrid;
+use super::fields::GridFields;
 
 /// Differences at each coefficient: along x, along y and across.
 const KINDS: usize = 3;
@@ -15,12 +15,12 @@ const LEAST: f64 = 0.001;
 
 /// Variances of second differences, [field][kind][coefficient].
 #[derive(Clone, Debug)]
-pub(super) struct Prior {
+pub(super) struct DifferencePrior {
     variance: Vec<f64>,
 }
 
 /// The coefficients of a difference and their factors; none where it would leave the grid.
-fn difference(grid: &Grid, kind: usize, k: usize) -> Option<([usize; 4], [f64; 4], usize)> {
+fn difference(grid: &SplineGrid, kind: usize, k: usize) -> Option<([usize; 4], [f64; 4], usize)> {
     let (w, x, y) = (grid.width, k % grid.width, k / grid.width);
     match kind {
         0 => (x > 0 && x + 1 < w).then_some(([k.wrapping_sub(1), k, k + 1, 0], [1.0, -2.0, 1.0, 0.0], 3)),
@@ -37,10 +37,9 @@ fn difference(grid: &Grid, kind: usize, k: usize) -> Option<([usize; 4], [f64; 4
     }
 }
 
-impl Prior {
-    /// From a picture, and a posterior sample of what measurements leave open of it, both in the order of
-    /// unknowns.
-    pub(super) fn estimate(fields: &Fields, picture: &[f64], open: Option<&[f64]>) -> Prior {
+impl DifferencePrior {
+    /// From a picture and a posterior sample of it, both in the order of unknowns.
+    pub(super) fn estimate(fields: &GridFields, picture: &[f64], open: Option<&[f64]>) -> DifferencePrior {
         let (grid, count) = (&fields.grid, fields.grid.coefficients());
         let mean = picture.iter().sum::<f64>() / picture.len() as f64;
         let least = (LEAST * mean) * (LEAST * mean);
@@ -66,11 +65,15 @@ impl Prior {
                 SHARED * sum / n + least
             }));
         }
-        Prior { variance }
+        DifferencePrior { variance }
     }
 
     /// Every difference: its unknowns, rising, their factors, and one over its variance.
-    pub(super) fn each(&self, fields: &Fields, mut with: impl FnMut(&[usize], &[f64], f64)) {
+    pub(super) fn for_each_difference(
+        &self,
+        fields: &GridFields,
+        mut with: impl FnMut(&[usize], &[f64], f64),
+    ) {
         let count = fields.grid.coefficients();
         for (n, variance) in self.variance.iter().enumerate() {
             let (field, kind, k) = (n / count / KINDS, n / count % KINDS, n % count);

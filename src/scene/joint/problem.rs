@@ -1,24 +1,24 @@
-//! The joint problem at a picture as it stands: rows with what they leave, and the normal equations.
+//! The joint problem at the present picture: rows with residuals, and the normal equations.
 
 use super::events::{self, OfEvents};
-use super::fields::Fields;
-use super::lines::Lines;
-use super::normal::{Factor, Sums};
-use super::prior::Prior;
+use super::fields::GridFields;
+use super::lines::SparseRows;
+use super::normal::{NormalFactor, NormalSums};
+use super::prior::DifferencePrior;
 use crate::block::Block;
 use crate::case::Case;
-use crate::free::{Noise, Predicted, is_rising, rise};
+use crate::free::{PixelPrediction, SceneNoise, is_rising, rise};
 use crate::moving::MovingPicture;
 use crate::nominal::Nominal;
 use crate::picture::motion::{DEGREES, RIGID};
-use crate::picture::{MOTION_WEIGHT, Picture, PictureSetting, ROBUST, STRETCH};
+use crate::picture::{MOTION_WEIGHT, PictureSetting, ROBUST, STRETCH, ScenePicture};
 use crate::statistics::NU;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Events whose two places lie further apart than so many coefficients along an axis take no part.
+/// Largest distance, in coefficients along an axis, between the two places of an event that is used.
 const REACH: usize = 11;
-/// Nor do events that miss their threshold by more than so many of it.
+/// Largest misfit of an event that is used, thresholds.
 const FAR: f64 = 3.0;
 /// Standard deviations of a step of motion, pixels, and of shading.
 pub(super) const STEP_OF_MOTION: f64 = 0.12;
@@ -26,21 +26,20 @@ pub(super) const STEP_OF_SHADING: f64 = 0.002;
 
 /// Frame values as rows.
 pub(super) struct FrameRows {
-    lines: Lines,
+    lines: SparseRows,
     /// Which frame value each is, [frame][y][x].
     index: Vec<u32>,
     weight: Vec<f64>,
-    sums: Sums,
+    sums: NormalSums,
 }
 
-/// Rows with what they leave: frame values, then events, then the logarithms of the rises that events end.
-/// The time of an event is what is measured, and the density of times is that of excesses times the rise;
-/// without it a picture that its prior holds back is as probable as a steeper one, and thresholds come out
-/// too small.
-pub(super) struct Problem {
+/// Rows with residuals: frame values, then events, then the log slopes at events. An event's time is the
+/// measurement, so the density of times is that of excesses times the slope. Without that factor a picture
+/// that its prior smooths is as probable as a steeper one, and thresholds are estimated too small.
+pub(super) struct JointRows {
     pub of_frames: Arc<FrameRows>,
-    pub events: Lines,
-    pub rises: Lines,
+    pub events: SparseRows,
+    pub rises: SparseRows,
     /// Pixel of each row, by its place.
     pub place: Vec<u32>,
     /// Which of the pixel's predicted frame values, or events, it is or ends in.
@@ -50,7 +49,7 @@ pub(super) struct Problem {
     pub weight: Vec<f64>,
 }
 
-impl Problem {
+impl JointRows {
     /// Number of frame values, behind which events follow.
     pub(super) fn frames(&self) -> usize {
         self.of_frames.lines.len()
@@ -61,13 +60,13 @@ impl Problem {
     }
 
     /// Rows of events.
-    pub(super) fn of_events(&self) -> Range<usize> {
+    pub(super) fn event_rows(&self) -> Range<usize> {
         self.frames()..self.frames() + self.events.len()
     }
 
     /// A row among those of its kind.
-    fn line(&self, r: usize) -> (&Lines, usize) {
-        let of_events = self.of_events();
+    fn line(&self, r: usize) -> (&SparseRows, usize) {
+        let of_events = self.event_rows();
         if r < of_events.start {
             (&self.of_frames.lines, r)
         } else if r < of_events.end {
@@ -78,21 +77,21 @@ impl Problem {
     }
 
     /// Derivative of row `r` along a step of all unknowns.
-    pub(super) fn along(&self, r: usize, step: &[f64], picture: usize) -> f64 {
+    pub(super) fn directional_derivative(&self, r: usize, step: &[f64], picture: usize) -> f64 {
         let (lines, line) = self.line(r);
-        lines.along(line, step, picture)
+        lines.directional_derivative(line, step, picture)
     }
 
     /// Adds row `r` times a factor to a vector of all unknowns.
-    pub(super) fn add(&self, r: usize, factor: f64, to: &mut [f64], picture: usize) {
+    pub(super) fn add_row(&self, r: usize, factor: f64, to: &mut [f64], picture: usize) {
         let (lines, line) = self.line(r);
-        lines.add(line, factor, to, picture);
+        lines.add_row(line, factor, to, picture);
     }
 
-    /// Where a row stands in the columns of its pixel.
-    pub(super) fn row_of(&self, r: usize, predicted: &[Predicted]) -> usize {
+    /// Index of a row in the columns of its pixel.
+    pub(super) fn row_of(&self, r: usize, predicted: &[PixelPrediction]) -> usize {
         let (number, of) = (self.number[r] as usize, &predicted[self.place[r] as usize]);
-        let of_events = self.of_events();
+        let of_events = self.event_rows();
         let before = usize::from(r >= of_events.start) * of.frames.len()
             + usize::from(r >= of_events.end) * of.events.len();
         before + number
@@ -104,23 +103,24 @@ impl Problem {
     }
 }
 
-/// How many coefficients a frame value of a picture sees in a line.
-pub(super) fn reach(
+/// Number of coefficients along an axis that a frame value of a picture covers.
+pub(super) fn coefficients_per_line(
     case: &Case,
     nominal: &Nominal,
-    picture: &Picture,
+    picture: &ScenePicture,
     setting: &PictureSetting,
     block: &Block,
 ) -> usize {
-    let (laid, fields) = (picture.laid(case, nominal, setting, block), Fields::of(picture));
-    let lines = Lines::of_frames(&laid, &fields, picture.motion.knots.len());
-    let (columns, rows) = Sums::reach_of(&lines, fields.width());
+    let (laid, fields) =
+        (picture.rows_of_block(case, nominal, setting, block), GridFields::from_picture(picture));
+    let lines = SparseRows::from_frame_rows(&laid, &fields, picture.motion.knots.len());
+    let (columns, rows) = NormalSums::reach_of(&lines, fields.width());
     (columns / fields.count).max(rows)
 }
 
-/// A picture as it stands, with what its rows are weighed by.
+/// The present picture, with the weights of its rows.
 #[derive(Clone, Copy)]
-pub(super) struct Standing<'a> {
+pub(super) struct CurrentPicture<'a> {
     pub case: &'a Case,
     pub nominal: &'a Nominal,
     pub scene: &'a MovingPicture,
@@ -130,20 +130,20 @@ pub(super) struct Standing<'a> {
     pub place_of: &'a [u32],
     /// Of each of them: do its events take part?
     pub is_trained: &'a [bool],
-    pub noise: &'a Noise,
-    pub prior: &'a Prior,
-    /// Frame values as rows, where these stand.
+    pub noise: &'a SceneNoise,
+    pub prior: &'a DifferencePrior,
+    /// Rows of frame values, where these are kept.
     pub frames: Option<&'a Arc<FrameRows>>,
 }
 
-impl Standing<'_> {
-    pub(super) fn picture(&self) -> &Picture {
+impl CurrentPicture<'_> {
+    pub(super) fn picture(&self) -> &ScenePicture {
         &self.scene.picture
     }
 
     /// The picture's fields.
-    pub(super) fn fields(&self) -> Fields {
-        Fields::of(self.picture())
+    pub(super) fn fields(&self) -> GridFields {
+        GridFields::from_picture(self.picture())
     }
 
     /// Number of the picture's coefficients.
@@ -154,7 +154,7 @@ impl Standing<'_> {
     /// All unknowns: the picture's coefficients, then the rest.
     pub(super) fn unknowns(&self) -> Vec<f64> {
         let mut all = self.fields().unknowns(&self.picture().surface);
-        all.extend(self.picture().rest());
+        all.extend(self.picture().motion_and_shading());
         all
     }
 
@@ -163,12 +163,12 @@ impl Standing<'_> {
         self.place_of[at as usize % self.case.extent.pixels()] as usize
     }
 
-    /// Frame values as rows at the picture as it stands.
-    pub(super) fn frame_rows(&self, predicted: &[Predicted], places: &[u32]) -> FrameRows {
+    /// Rows of frame values at the present picture.
+    pub(super) fn frame_rows(&self, predicted: &[PixelPrediction], places: &[u32]) -> FrameRows {
         let picture = self.picture();
-        let laid = picture.laid(self.case, self.nominal, &self.scene.setting, self.block);
+        let laid = picture.rows_of_block(self.case, self.nominal, &self.scene.setting, self.block);
         let fields = self.fields();
-        let lines = Lines::of_frames(&laid, &fields, picture.motion.knots.len());
+        let lines = SparseRows::from_frame_rows(&laid, &fields, picture.motion.knots.len());
         let weight = |at: &u32| {
             let frame = predicted[self.place_of(*at)].frames.get(places[*at as usize] as usize);
             frame.map_or(0.0, |frame| {
@@ -177,15 +177,16 @@ impl Standing<'_> {
             })
         };
         let weight: Vec<f64> = laid.index.iter().map(weight).collect();
-        let mut reach = Sums::reach_of(&lines, fields.width());
+        let mut reach = NormalSums::reach_of(&lines, fields.width());
         reach = (reach.0.max(fields.count * (REACH + 5) - 1), reach.1.max(REACH + 4));
-        let mut sums = Sums::new(fields.width(), fields.coefficients(), picture.rest().len(), reach);
+        let mut sums =
+            NormalSums::new(fields.width(), fields.coefficients(), picture.motion_and_shading().len(), reach);
         sums.add_all(&lines, &weight);
         FrameRows { lines, index: laid.index, weight, sums }
     }
 
-    /// All rows at the picture as it stands, with residuals and weights.
-    pub(super) fn problem(&self, predicted: &[Predicted]) -> Problem {
+    /// All rows at the present picture, with residuals and weights.
+    pub(super) fn problem(&self, predicted: &[PixelPrediction]) -> JointRows {
         let places = self.frame_places(predicted);
         let of_frames = self.frames.cloned().unwrap_or_else(|| Arc::new(self.frame_rows(predicted, &places)));
         let frames = of_frames.lines.len();
@@ -218,17 +219,17 @@ impl Standing<'_> {
             let takes_part = weight[frames + n] > 0.0 && is_rising(event);
             weight.push(if takes_part { self.noise.share_of_thresholds(event) } else { 0.0 });
         }
-        Problem { of_frames, events, rises, place, number, residual, weight }
+        JointRows { of_frames, events, rises, place, number, residual, weight }
     }
 
     /// Which of a pixel's predicted frame values each frame value is, [frame][y][x].
-    pub(super) fn frame_places(&self, predicted: &[Predicted]) -> Vec<u32> {
+    pub(super) fn frame_places(&self, predicted: &[PixelPrediction]) -> Vec<u32> {
         let pixels = self.case.extent.pixels();
         let mut places = vec![u32::MAX; self.case.frame_count() * pixels];
         let Some(frames) = &self.case.frames else { return places };
         for (pixel, predicted) in self.pixels.iter().zip(predicted) {
             let pixel = *pixel as usize;
-            let row = self.case.place(pixel).1;
+            let row = self.case.pixel_place(pixel).1;
             let mut k = 0;
             for l in 0..self.case.frame_count() {
                 let start = frames.times.exposure(l, row).start.0;
@@ -250,7 +251,7 @@ impl Standing<'_> {
                 with(&at, &[1.0, -2.0, 1.0], MOTION_WEIGHT * MOTION_WEIGHT);
             }
         }
-        let rest = self.picture().rest();
+        let rest = self.picture().motion_and_shading();
         for n in 0..rest.len() {
             if n >= knots * DEGREES {
                 with(&[n], &[1.0], 1.0);
@@ -261,13 +262,13 @@ impl Standing<'_> {
     }
 
     /// The factor of the normal equations; none where they are singular.
-    pub(super) fn factored(&self, problem: &Problem) -> Option<Factor> {
-        let (fields, rest) = (self.fields(), self.picture().rest().len());
+    pub(super) fn factored(&self, problem: &JointRows) -> Option<NormalFactor> {
+        let (fields, rest) = (self.fields(), self.picture().motion_and_shading().len());
         let mut sums = problem.of_frames.sums.clone();
-        let of_events = problem.of_events();
+        let of_events = problem.event_rows();
         sums.add_all(&problem.events, &problem.weight[of_events.clone()]);
         sums.add_all(&problem.rises, &problem.weight[of_events.end..]);
-        self.prior.each(&fields, |at, by, weight| sums.add_picture(at, by, weight));
+        self.prior.for_each_difference(&fields, |at, by, weight| sums.add_picture(at, by, weight));
         self.each_of_rest(|at, by, weight| sums.add_rest(at, by, weight));
         let motion = self.picture().motion.knots.len() * DEGREES;
         for n in 0..rest {
@@ -278,27 +279,26 @@ impl Standing<'_> {
     }
 
     /// J'W rho and the pull of the priors.
-    pub(super) fn gradient(&self, problem: &Problem) -> Vec<f64> {
+    pub(super) fn gradient(&self, problem: &JointRows) -> Vec<f64> {
         let fields = self.fields();
         let (count, now) = (fields.coefficients(), self.unknowns());
         let mut gradient = vec![0.0; now.len()];
         for r in problem.used() {
-            problem.add(r, problem.weight[r] * problem.residual[r], &mut gradient, count);
+            problem.add_row(r, problem.weight[r] * problem.residual[r], &mut gradient, count);
         }
         let pull = |first: usize, gradient: &mut Vec<f64>, at: &[usize], by: &[f64], weight: f64| {
             let value: f64 = at.iter().zip(by).map(|(at, by)| by * now[first + at]).sum();
             at.iter().zip(by).for_each(|(at, by)| gradient[first + at] += weight * value * by);
         };
-        self.prior.each(&fields, |at, by, weight| pull(0, &mut gradient, at, by, weight));
+        self.prior.for_each_difference(&fields, |at, by, weight| pull(0, &mut gradient, at, by, weight));
         self.each_of_rest(|at, by, weight| pull(count, &mut gradient, at, by, weight));
         gradient
     }
 
-    /// What steps lessen: misfit of frames and of the times of events under the noise as it stands, and
-    /// roughness.
-    pub(super) fn objective(&self, predicted: &[Predicted]) -> f64 {
+    /// Objective of the steps: misfit of frames and of event times under the present noise, and roughness.
+    pub(super) fn objective(&self, predicted: &[PixelPrediction]) -> f64 {
         let (fields, now) = (self.fields(), self.unknowns());
-        let of_frames = |of: &Predicted| -> f64 {
+        let of_frames = |of: &PixelPrediction| -> f64 {
             of.frames
                 .iter()
                 .map(|frame| {
@@ -309,7 +309,7 @@ impl Standing<'_> {
                 })
                 .sum()
         };
-        let of_events = |of: &Predicted| -> f64 {
+        let of_events = |of: &PixelPrediction| -> f64 {
             of.events
                 .iter()
                 .map(|event| {
@@ -334,7 +334,7 @@ impl Standing<'_> {
             let value: f64 = at.iter().zip(by).map(|(at, by)| by * now[first + at]).sum();
             sum += 0.5 * weight * value * value;
         };
-        self.prior.each(&fields, |at, by, weight| rough(0, at, by, weight));
+        self.prior.for_each_difference(&fields, |at, by, weight| rough(0, at, by, weight));
         self.each_of_rest(|at, by, weight| rough(count, at, by, weight));
         sum
     }

@@ -1,17 +1,17 @@
-//! Efficient scores of effects on a joint picture, and what a step of everything with each gains.
+//! Efficient scores of effects on a joint picture, and gains with a joint step.
 
-use super::normal::Factor;
-use super::problem::{Problem, Standing};
-use crate::free::{MOST_OF_RISE, Predicted, PredictedEvent, Score};
+use super::normal::NormalFactor;
+use super::problem::{CurrentPicture, JointRows};
+use crate::free::{MOST_OF_RISE, PixelPrediction, PredictedEvent, Score};
 use rayon::prelude::*;
 
-/// What each pixel's rows add to the scores of effects; none where that is nothing. `columns`: as in
-/// [`crate::free::FreeScene::score`], of so many effects.
+/// Contribution of each pixel's rows to the scores of effects; `None` where there is none. `columns`: as in
+/// [`crate::free::FreeScene::score`], of `effects` effects.
 pub(super) fn scores(
-    standing: &Standing<'_>,
-    problem: &Problem,
-    factor: &Factor,
-    predicted: &[Predicted],
+    standing: &CurrentPicture<'_>,
+    problem: &JointRows,
+    factor: &NormalFactor,
+    predicted: &[PixelPrediction],
     (columns, effects): (&[Vec<f32>], usize),
 ) -> Vec<Option<Score>> {
     let count = standing.coefficients();
@@ -21,7 +21,7 @@ pub(super) fn scores(
     let mut sides = vec![vec![0.0; all]; effects];
     for r in problem.used() {
         for (side, by) in sides.iter_mut().zip(column(r)).filter(|(_, by)| **by != 0.0) {
-            problem.add(r, problem.weight[r] * f64::from(*by), side, count);
+            problem.add_row(r, problem.weight[r] * f64::from(*by), side, count);
         }
     }
     sides.push(standing.gradient(problem));
@@ -39,9 +39,9 @@ pub(super) fn scores(
             known: vec![0.0; effects],
         });
         let weight = problem.weight[r];
-        let left = problem.residual[r] - problem.along(r, &sides[effects], count);
+        let left = problem.residual[r] - problem.directional_derivative(r, &sides[effects], count);
         for (k, moved) in moved.iter_mut().enumerate() {
-            *moved = f64::from(column[k]) - problem.along(r, &sides[k], count);
+            *moved = f64::from(column[k]) - problem.directional_derivative(r, &sides[k], count);
         }
         for (k, by) in column.iter().enumerate().filter(|(_, by)| **by != 0.0) {
             let by = weight * f64::from(*by);
@@ -56,10 +56,10 @@ pub(super) fn scores(
 
 /// The step of all unknowns while effects change by these sizes.
 pub(super) fn step_with(
-    standing: &Standing<'_>,
-    problem: &Problem,
-    factor: &Factor,
-    predicted: &[Predicted],
+    standing: &CurrentPicture<'_>,
+    problem: &JointRows,
+    factor: &NormalFactor,
+    predicted: &[PixelPrediction],
     (columns, sizes): (&[Vec<f32>], &[f64]),
 ) -> Vec<f64> {
     let (effects, count) = (sizes.len(), standing.coefficients());
@@ -68,22 +68,22 @@ pub(super) fn step_with(
         let column = &columns[problem.place[r] as usize][problem.row_of(r, predicted) * effects..][..effects];
         let by: f64 = column.iter().zip(sizes).map(|(by, size)| f64::from(*by) * size).sum();
         if by != 0.0 {
-            problem.add(r, problem.weight[r] * by, &mut side[0], count);
+            problem.add_row(r, problem.weight[r] * by, &mut side[0], count);
         }
     }
     factor.solve(&mut side);
     side[0].iter().map(|by| -by).collect()
 }
 
-/// What effects of `sizes` gain from each pixel, nats, with a step of everything and beyond what that step
-/// gains without one. `left_out`: log densities of each pixel's events, given what is predicted.
+/// Gain of effects of `sizes` from each pixel, nats, with a step of all unknowns, less the gain of that step
+/// without the effect. `left_out`: log densities of each pixel's events, given a prediction.
 pub(super) fn gains(
-    standing: &Standing<'_>,
-    problem: &Problem,
-    factor: &Factor,
-    predicted: &[Predicted],
+    standing: &CurrentPicture<'_>,
+    problem: &JointRows,
+    factor: &NormalFactor,
+    predicted: &[PixelPrediction],
     (columns, sizes): (&[Vec<f32>], &[f64]),
-    left_out: impl Fn(&[Predicted]) -> Vec<f64> + Sync,
+    left_out: impl Fn(&[PixelPrediction]) -> Vec<f64> + Sync,
 ) -> Vec<Vec<f64>> {
     let (effects, count) = (sizes.len(), standing.coefficients());
     let mut sides = vec![standing.gradient(problem); effects + 1];
@@ -92,7 +92,7 @@ pub(super) fn gains(
         for ((side, by), size) in sides.iter_mut().zip(column).zip(sizes) {
             let by = f64::from(*by) * size;
             if by != 0.0 {
-                problem.add(r, problem.weight[r] * by, side, count);
+                problem.add_row(r, problem.weight[r] * by, side, count);
             }
         }
     }
@@ -104,17 +104,18 @@ pub(super) fn gains(
             let (place, n) = (problem.place[r] as usize, problem.number[r] as usize);
             let Some(frame) = moved[place].frames.get_mut(n) else { continue };
             let by = if k < effects { size * f64::from(columns[place][n * effects + k]) } else { 0.0 };
-            frame.residual_dn += by - problem.along(r, &sides[k], count);
+            frame.residual_dn += by - problem.directional_derivative(r, &sides[k], count);
         }
-        for r in problem.of_events() {
+        for r in problem.event_rows() {
             let (place, n) = (problem.place[r] as usize, problem.number[r] as usize);
             let (frames, events) = (predicted[place].frames.len(), predicted[place].events.len());
             let by = |row: usize| {
                 if k < effects { size * f64::from(columns[place][row * effects + k]) } else { 0.0 }
             };
             let event: &mut PredictedEvent = &mut moved[place].events[n];
-            event.excess += by(frames + n) - problem.along(r, &sides[k], count);
-            let of_rise = by(frames + events + n) - problem.along(r + problem.events.len(), &sides[k], count);
+            event.excess += by(frames + n) - problem.directional_derivative(r, &sides[k], count);
+            let of_rise = by(frames + events + n)
+                - problem.directional_derivative(r + problem.events.len(), &sides[k], count);
             event.rise_per_s *= libm::exp(of_rise.clamp(-MOST_OF_RISE, MOST_OF_RISE));
         }
         left_out(&moved)

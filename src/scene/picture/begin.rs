@@ -1,6 +1,6 @@
 //! How the motion of a picture begins: frames for registration, and splines through the poses that it finds.
 
-use super::motion::{DEGREES, Map, Motion, Pose, pose_of};
+use super::motion::{AffineMap, AffinePose, DEGREES, PictureMotion, pose_of};
 use super::setting::{FRAME_NOISE, PictureSetting, ROBUST};
 use crate::case::Case;
 use crate::image::Image;
@@ -56,19 +56,19 @@ pub(super) fn exposure_s(case: &Case, l: usize, y: u32) -> f64 {
 }
 
 /// Splines through the poses of the frames.
-pub(crate) fn begin_motion(case: &Case, poses: &[Map], setting: &PictureSetting) -> Motion {
+pub(crate) fn begin_motion(case: &Case, poses: &[AffineMap], setting: &PictureSetting) -> PictureMotion {
     let (width, height) = (f64::from(case.extent.width), f64::from(case.extent.height));
     let half = 0.5 * (f64::max(width, height) - 1.0);
     let times = &case.frames.as_ref().expect("frames are there").times;
     let period_ns = times.mean_period_ns().map_or(setting.knot.ns(), |period| period as i64);
     let knot_ns = i64::max(setting.knot.ns(), period_ns * 6 / 5);
-    let mut motion = Motion::still(case.span, knot_ns, half);
+    let mut motion = PictureMotion::at_rest(case.span, knot_ns, half);
     let knots = motion.knots.len();
     let mut normal = DMatrix::<f64>::zeros(knots, knots);
     let mut right = DMatrix::<f64>::zeros(knots, DEGREES);
     let mut turned = 0.0;
     for (l, pose) in poses.iter().enumerate() {
-        let mut target: Pose = pose_of(pose, half);
+        let mut target: AffinePose = pose_of(pose, half);
         // Turns go on where the angle starts again.
         let whole = std::f64::consts::TAU * half;
         target[2] += whole * ((turned - target[2]) / whole).round();

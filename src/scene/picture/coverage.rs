@@ -1,22 +1,22 @@
 //! The light of a picture on a pixel, and how many exposures cover the place that lies there: where none
 //! does, the picture is its neighbourhood extrapolated.
 
-use super::estimate::Picture;
-use super::motion::Map;
+use super::estimate::ScenePicture;
+use super::motion::AffineMap;
 use super::products;
 
-/// What stands still behind a pixel.
+/// The still ground behind a pixel.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Behind {
+pub(crate) struct StillGround {
     /// Its photocurrent; not finite where it is not known.
     pub ground: f64,
-    /// [`Picture::unit`].
+    /// [`ScenePicture::unit`].
     unit: f64,
 }
 
-impl Behind {
-    /// What coefficients of this value leave of it, photocurrent.
-    fn left(&self, hidden: f64) -> f64 {
+impl StillGround {
+    /// Photocurrent of the ground that shows behind a picture of this opacity.
+    fn visible_share(&self, hidden: f64) -> f64 {
         (1.0 - hidden / self.unit) * self.ground
     }
 
@@ -26,18 +26,18 @@ impl Behind {
     }
 }
 
-impl Picture {
+impl ScenePicture {
     /// Log photocurrent of a pixel at steady instants; outside of the picture the nearest value in time
     /// holds. `None` when it never saw the picture.
-    pub fn log_light(&self, x: usize, y: usize, maps: &[Map]) -> Option<Vec<f64>> {
+    pub fn log_light(&self, x: usize, y: usize, maps: &[AffineMap]) -> Option<Vec<f64>> {
         let place = (x as f64 - self.centre.0, y as f64 - self.centre.1);
         let pixel = y * (2.0 * self.centre.0 + 1.0) as usize + x;
         let shade = self.shade(place);
         let (own, hidden) = self.fields();
         let mut log = products::values(&self.grid, own, maps, place);
-        if let Some(behind) = self.behind(pixel) {
+        if let Some(behind) = self.still_ground(pixel) {
             let hidden = products::values(&self.grid, hidden, maps, place);
-            log.iter_mut().zip(hidden).for_each(|(light, hidden)| *light += behind.left(hidden));
+            log.iter_mut().zip(hidden).for_each(|(light, hidden)| *light += behind.visible_share(hidden));
         }
         products::logarithms(&mut log, shade, self.least);
         let first = log.iter().copied().find(|value| !value.is_nan())?;
@@ -55,23 +55,23 @@ impl Picture {
     }
 
     /// The still ground of a pixel, `y * width + x` of the array; none where nothing is behind the picture.
-    pub(crate) fn behind(&self, pixel: usize) -> Option<Behind> {
+    pub(crate) fn still_ground(&self, pixel: usize) -> Option<StillGround> {
         let ground = f64::from(*self.ground.get(pixel)?);
-        Some(Behind { ground, unit: self.unit })
+        Some(StillGround { ground, unit: self.unit })
     }
 
     /// Photocurrent at a place of the picture, shading left out; none outside of it.
-    pub(crate) fn value(&self, behind: Option<Behind>, (x, y): (f64, f64)) -> Option<f64> {
+    pub(crate) fn value(&self, behind: Option<StillGround>, (x, y): (f64, f64)) -> Option<f64> {
         let (own, hidden) = self.fields();
         let still = match behind {
-            Some(behind) => behind.left(self.grid.value(hidden, x, y)?),
+            Some(behind) => behind.visible_share(self.grid.value(hidden, x, y)?),
             None => 0.0,
         };
         Some(self.grid.value(own, x, y)? + still)
     }
 
     /// Its derivatives by the place, a pixel.
-    pub(crate) fn gradient(&self, behind: Option<Behind>, (x, y): (f64, f64)) -> (f64, f64) {
+    pub(crate) fn gradient(&self, behind: Option<StillGround>, (x, y): (f64, f64)) -> (f64, f64) {
         let (own, hidden) = self.fields();
         let (gx, gy) = self.grid.gradient(own, x, y);
         let Some(by) = behind.map(|behind| behind.by_hidden()) else { return (gx, gy) };
@@ -79,9 +79,9 @@ impl Picture {
         (gx + by * hx, gy + by * hy)
     }
 
-    /// How many exposures saw what a pixel looks at, at steady instants; 0 outside of the picture, and of a
-    /// picture that is not as it was fitted.
-    pub fn exposures_seen(&self, x: usize, y: usize, maps: &[Map]) -> Vec<f64> {
+    /// Number of exposures that recorded the place of the picture at a pixel, at steady instants; 0 outside
+    /// of the picture, and for a picture that was not fitted.
+    pub fn exposures_seen(&self, x: usize, y: usize, maps: &[AffineMap]) -> Vec<f64> {
         if self.coverage.is_empty() {
             return vec![0.0; maps.len()];
         }
@@ -103,7 +103,7 @@ mod tests {
     #[test]
     fn exposures_are_those_during_which_a_place_lay_on_the_array() {
         let case = testing::texture(Extent { width: 24, height: 18 }, 9);
-        let picture = Picture::fit(&case, &case.nominal().unwrap(), &PictureSetting::default()).unwrap();
+        let picture = ScenePicture::fit(&case, &case.nominal().unwrap(), &PictureSetting::default()).unwrap();
         let fitted = picture.residual.iter().filter(|residual| residual.is_finite()).count() as f64;
         let all = picture.coverage.iter().map(|sum| f64::from(*sum)).sum::<f64>()
             * picture.grid.pitch

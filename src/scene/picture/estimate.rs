@@ -2,16 +2,16 @@
 //! estimated on the way.
 
 use super::begin::{begin_motion, exposure_s, images, unchanged};
-use super::motion::{DEGREES, Map, Motion, RIGID, apply, compose};
-use super::register::{Search, register};
-use super::rows::{LANES, Rows};
+use super::motion::{AffineMap, DEGREES, PictureMotion, RIGID, apply, compose};
+use super::register::{RegisterSearch, register};
+use super::rows::{LANES, MeasurementRows};
 use super::setting::{
     FRAME_NOISE, GAIN, LEAST_MISFIT, LEAST_ROUGHNESS, LEAST_ROUNDS, MOTION_WEIGHT, POOLED, PictureSetting,
     ROBUST, SEED, STILL, STRETCH,
 };
 use super::shading::{self, TERMS};
-use super::spline::Grid;
-use super::system::{Smoothness, Unknowns, add, again, draw, roughness, solve};
+use super::spline::SplineGrid;
+use super::system::{PictureUnknowns, Smoothness, add, posterior_draw, roughness, solve, twicing_step};
 use crate::block::Block;
 use crate::case::Case;
 use crate::nominal::Nominal;
@@ -19,9 +19,9 @@ use crate::statistics::MEDIAN_NORMAL;
 use photocurrent_core::random::Random;
 use rayon::prelude::*;
 
-/// How well a picture explains the frames.
+/// Fit of a picture to the frames.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Report {
+pub struct PictureReport {
     /// Median absolute residual of the frame values over 0.6745 standard deviations, round by round: 1 when
     /// the noise explains it.
     pub misfit: Vec<f64>,
@@ -31,13 +31,13 @@ pub struct Report {
     pub noise: (f64, f64),
 }
 
-/// A picture in motion.
+/// A moving picture.
 #[derive(Clone, Debug)]
-pub struct Picture {
+pub struct ScenePicture {
     /// Where its coefficients stand.
-    pub grid: Grid,
+    pub grid: SplineGrid,
     /// The coefficients, in photocurrent units; before a still ground behind them those of how much of it is
-    /// hidden, times [`Picture::unit`].
+    /// hidden, times [`ScenePicture::unit`].
     pub surface: Vec<f32>,
     /// The still ground of every pixel, photocurrent, not finite where it is not known; empty where the
     /// picture is all there is.
@@ -45,13 +45,13 @@ pub struct Picture {
     /// Photocurrent that coefficients of what is hidden are in units of.
     pub unit: f64,
     /// How it lies on the array.
-    pub motion: Motion,
+    pub motion: PictureMotion,
     /// The shading.
     pub shading: [f64; TERMS],
     /// Least photocurrent that is predicted.
     pub least: f64,
     /// How well it explains the frames.
-    pub report: Report,
+    pub report: PictureReport,
     /// Residual of every frame value, DN, as [frame][y][x]; NaN where it took no part.
     pub residual: Vec<f32>,
     /// How many exposures saw the place of each coefficient; empty where it is not as it was fitted.
@@ -59,25 +59,25 @@ pub struct Picture {
     pub(crate) centre: (f64, f64),
 }
 
-impl Picture {
+impl ScenePicture {
     /// Fits a picture to the frames of a recording.
     ///
     /// # Errors
     /// With fewer than three frames, an array below 8 x 8 pixels, or frames without light.
-    pub fn fit(case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Result<Picture, String> {
-        Picture::fit_where(case, nominal, setting, None)
+    pub fn fit(case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Result<ScenePicture, String> {
+        ScenePicture::fit_where(case, nominal, setting, None)
     }
 
-    /// The same, to the values of selected pixels ([`Begin::selected`]).
+    /// The same, to the values of selected pixels ([`FitStart::selected`]).
     ///
     /// # Errors
-    /// As [`Picture::fit`].
+    /// As [`ScenePicture::fit`].
     pub fn fit_where(
         case: &Case,
         nominal: &Nominal,
         setting: &PictureSetting,
         selected: Option<&[bool]>,
-    ) -> Result<Picture, String> {
+    ) -> Result<ScenePicture, String> {
         let frames = case
             .frames
             .as_ref()
@@ -101,11 +101,11 @@ impl Picture {
         }
         let images = images(case, nominal);
         // Registration of neighbours, chained.
-        let pairs: Vec<(Map, f64)> = (1..count)
+        let pairs: Vec<(AffineMap, f64)> = (1..count)
             .into_par_iter()
-            .map(|l| register(&images[l - 1], &images[l], &Search::default(), None))
+            .map(|l| register(&images[l - 1], &images[l], &RegisterSearch::default(), None))
             .collect();
-        let mut poses: Vec<Map> = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]];
+        let mut poses: Vec<AffineMap> = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]];
         for (pair, _) in &pairs {
             poses.push(compose(poses.last().expect("one is there"), pair));
         }
@@ -113,8 +113,13 @@ impl Picture {
         let still = vec![poses[0]; count];
         let motions = [&poses[..], &still[..]];
         let tried = if unchanged(case, nominal) > STILL { &motions[..] } else { &motions[..1] };
-        let mut picture =
-            Picture::fit_from(case, nominal, setting, tried, Begin { selected, ..Begin::default() });
+        let mut picture = ScenePicture::fit_from(
+            case,
+            nominal,
+            setting,
+            tried,
+            FitStart { selected, ..FitStart::default() },
+        );
         picture.report.correlation = pairs.iter().map(|pair| pair.1).collect();
         Ok(picture)
     }
@@ -127,10 +132,10 @@ impl Picture {
         case: &Case,
         nominal: &Nominal,
         setting: &PictureSetting,
-        poses: &[&[Map]],
-        begin: Begin<'_>,
-    ) -> Picture {
-        let all = poses.iter().map(|poses| Fit::coarse(case, nominal, setting, poses, begin));
+        poses: &[&[AffineMap]],
+        begin: FitStart<'_>,
+    ) -> ScenePicture {
+        let all = poses.iter().map(|poses| PictureFit::coarse(case, nominal, setting, poses, begin));
         let best = all.min_by(|a, b| a.loss().total_cmp(&b.loss())).expect("motion begins somewhere");
         best.fine()
     }
@@ -142,83 +147,85 @@ impl Picture {
         nominal: &Nominal,
         setting: &PictureSetting,
         counts: Option<&[bool]>,
-    ) -> Picture {
-        let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), self.begin(counts));
-        fit.picture =
-            Picture { report: Report { misfit: Vec::new(), ..self.report.clone() }, ..self.clone() };
+    ) -> ScenePicture {
+        let mut fit = PictureFit::new(case, nominal, setting, self.motion.clone(), self.fit_start(counts));
+        fit.picture = ScenePicture {
+            report: PictureReport { misfit: Vec::new(), ..self.report.clone() },
+            ..self.clone()
+        };
         fit.rounds(setting.rounds.0, setting.rounds.0 + setting.rounds.1, setting.steps.1);
         fit.picture
     }
 
-    /// The same scene with what its frames leave open drawn at random: as good an explanation of the frames
-    /// as the fitted one, and as rough as scenes are.
-    pub fn drawn(
+    /// A posterior sample of the scene: it explains the frames as well as the fit, and is as rough as scenes
+    /// are.
+    pub fn posterior_sample(
         &self,
         case: &Case,
         nominal: &Nominal,
         setting: &PictureSetting,
         counts: Option<&[bool]>,
         seed: u64,
-    ) -> Picture {
-        let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), self.begin(counts));
+    ) -> ScenePicture {
+        let mut fit = PictureFit::new(case, nominal, setting, self.motion.clone(), self.fit_start(counts));
         fit.picture = self.clone();
         let knots = self.motion.knots.len();
-        let mut rows = fit.lay(false);
+        let mut rows = fit.frame_rows(false);
         fit.reweigh(&mut rows);
         let mut random = Random::new(seed, &[0xd4]);
         let smooth = fit.smoothness(knots, None);
-        let open = draw(&rows, &self.grid, &smooth, knots, setting.draw_steps, &mut random);
+        let open = posterior_draw(&rows, &self.grid, &smooth, knots, setting.draw_steps, &mut random);
         let smooth = fit.smoothness(knots, Some(&open));
-        let open = draw(&rows, &self.grid, &smooth, knots, setting.draw_steps, &mut random);
+        let open = posterior_draw(&rows, &self.grid, &smooth, knots, setting.draw_steps, &mut random);
         fit.picture.surface.iter_mut().zip(&open).for_each(|(c, open)| *c += open);
-        rows.look_at(&fit.picture.grid, &fit.picture.surface);
+        rows.update_residuals(&fit.picture.grid, &fit.picture.surface);
         fit.keep_residuals(&rows);
         fit.picture
     }
 
     /// The grid of everything that a block of pixels sees during exposures.
-    pub(crate) fn covering(&self, case: &Case, block: &Block, pitch: f64) -> Grid {
+    pub(crate) fn covering(&self, case: &Case, block: &Block, pitch: f64) -> SplineGrid {
         cover(case, &self.motion, self.centre, pitch, block)
     }
 
-    /// What a block of pixels sees of the picture, on a grid of the setting's pitch.
+    /// The part of the picture that a block of pixels sees, on a grid of the setting's pitch.
     pub(crate) fn on_block(
         &self,
         case: &Case,
         nominal: &Nominal,
         setting: &PictureSetting,
         block: &Block,
-    ) -> Picture {
-        let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), self.begin(None));
+    ) -> ScenePicture {
+        let mut fit = PictureFit::new(case, nominal, setting, self.motion.clone(), self.fit_start(None));
         fit.picture = self.clone();
         fit.refine(block);
         fit.picture.coverage.clear();
         fit.picture
     }
 
-    /// Frame values of a block of pixels as rows at the picture as it stands.
-    pub(crate) fn laid(
+    /// Rows of the frame values of a block of pixels, at the present picture.
+    pub(crate) fn rows_of_block(
         &self,
         case: &Case,
         nominal: &Nominal,
         setting: &PictureSetting,
         block: &Block,
-    ) -> Rows {
+    ) -> MeasurementRows {
         let mut selected = vec![false; case.extent.pixels()];
         block.pixels(case.extent).iter().for_each(|pixel| selected[*pixel as usize] = true);
-        let begin = Begin { selected: Some(&selected), ..self.begin(None) };
-        let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), begin);
+        let begin = FitStart { selected: Some(&selected), ..self.fit_start(None) };
+        let mut fit = PictureFit::new(case, nominal, setting, self.motion.clone(), begin);
         fit.picture = self.clone();
-        fit.lay(true)
+        fit.frame_rows(true)
     }
 
     /// Six numbers for each knot of the motion, then the shading's terms.
-    pub(crate) fn rest(&self) -> Vec<f64> {
+    pub(crate) fn motion_and_shading(&self) -> Vec<f64> {
         self.motion.knots.iter().flatten().copied().chain(self.shading).collect()
     }
 
     /// Moves by a share of a step of everything: coefficients, then the rest.
-    pub(crate) fn step(&mut self, step: &[f64], share: f64) {
+    pub(crate) fn move_by(&mut self, step: &[f64], share: f64) {
         let (of_surface, of_rest) = step.split_at(self.surface.len());
         self.surface.iter_mut().zip(of_surface).for_each(|(c, by)| *c += (share * by) as f32);
         let rest = self.motion.knots.iter_mut().flatten().chain(&mut self.shading);
@@ -231,8 +238,8 @@ impl Picture {
         shading::factor(&self.shading, &shading::basis(place.0 / half, place.1 / half))
     }
 
-    fn begin<'a>(&'a self, counts: Option<&'a [bool]>) -> Begin<'a> {
-        Begin { counts, ground: (!self.ground.is_empty()).then_some(&self.ground[..]), selected: None }
+    fn fit_start<'a>(&'a self, counts: Option<&'a [bool]>) -> FitStart<'a> {
+        FitStart { counts, ground: (!self.ground.is_empty()).then_some(&self.ground[..]), selected: None }
     }
 
     /// Standard deviation that a frame value of `signal` DN above black was assumed to have.
@@ -240,49 +247,48 @@ impl Picture {
         nominal.frame_sigma_dn(signal, self.report.noise)
     }
 
-    /// Where on the picture a pixel looks at an instant, pixels.
-    pub fn place(&self, case: &Case, pixel: usize, t_ns: i64) -> (f64, f64) {
-        let (x, y) = case.place(pixel);
+    /// Place on the picture of a pixel at an instant, pixels.
+    pub fn place_on_picture(&self, case: &Case, pixel: usize, t_ns: i64) -> (f64, f64) {
+        let (x, y) = case.pixel_place(pixel);
         apply(&self.motion.at(t_ns), f64::from(x) - self.centre.0, f64::from(y) - self.centre.1)
     }
 }
 
-/// What a fit begins with.
+/// Initial values of a fit.
 #[derive(Clone, Copy, Default)]
-pub struct Begin<'a> {
+pub struct FitStart<'a> {
     /// Which frame values are fitted, [frame][y][x]; all of them without it.
     pub counts: Option<&'a [bool]>,
     /// The still ground behind the picture, photocurrent, for each pixel; not finite where it is not known.
     pub ground: Option<&'a [f32]>,
-    /// Which pixels anybody asks for; the others have no part in anything, as if they had no frame values.
-    /// All of them without it.
+    /// Pixels that are fitted; the others are left out, as if without frame values. All without it.
     pub selected: Option<&'a [bool]>,
 }
 
-/// A fit under way.
-pub(super) struct Fit<'a> {
+/// The state of a fit.
+pub(super) struct PictureFit<'a> {
     pub(super) case: &'a Case,
     pub(super) nominal: &'a Nominal,
     pub(super) setting: &'a PictureSetting,
     pub(super) counts: Option<&'a [bool]>,
     pub(super) selected: Option<&'a [bool]>,
-    pub(super) picture: Picture,
-    /// What frame values of the fitted picture would be, over the signal's factor; kept for the weights.
+    pub(super) picture: ScenePicture,
+    /// Frame values predicted by the picture, over the signal's factor; kept for the weights.
     pub(super) typical: f64,
     pub(super) scale: f64,
 }
 
-impl<'a> Fit<'a> {
+impl<'a> PictureFit<'a> {
     fn new(
         case: &'a Case,
         nominal: &'a Nominal,
         setting: &'a PictureSetting,
-        motion: Motion,
-        begin: Begin<'a>,
-    ) -> Fit<'a> {
+        motion: PictureMotion,
+        begin: FitStart<'a>,
+    ) -> PictureFit<'a> {
         let centre =
             (0.5 * (f64::from(case.extent.width) - 1.0), 0.5 * (f64::from(case.extent.height) - 1.0));
-        let grid = cover(case, &motion, centre, setting.coarse_pitch, &Block::all(case.extent));
+        let grid = cover(case, &motion, centre, setting.coarse_pitch, &Block::whole_array(case.extent));
         let mut light: Vec<f64> = Vec::new();
         for l in 0..case.frame_count() {
             let seconds = exposure_s(case, l, 0);
@@ -295,7 +301,7 @@ impl<'a> Fit<'a> {
         }
         light.sort_by(f64::total_cmp);
         let typical = light.get(light.len() / 2).copied().unwrap_or(1.0).max(1e-9);
-        let picture = Picture {
+        let picture = ScenePicture {
             grid,
             surface: if begin.ground.is_some() {
                 vec![0.0; 2 * grid.coefficients()]
@@ -307,12 +313,12 @@ impl<'a> Fit<'a> {
             motion,
             shading: [0.0; TERMS],
             least: 1e-3 * typical,
-            report: Report { noise: FRAME_NOISE, ..Report::default() },
+            report: PictureReport { noise: FRAME_NOISE, ..PictureReport::default() },
             residual: Vec::new(),
             coverage: Vec::new(),
             centre,
         };
-        Fit {
+        PictureFit {
             case,
             nominal,
             setting,
@@ -329,23 +335,23 @@ impl<'a> Fit<'a> {
         case: &'a Case,
         nominal: &'a Nominal,
         setting: &'a PictureSetting,
-        poses: &[Map],
-        begin: Begin<'a>,
-    ) -> Fit<'a> {
-        let mut fit = Fit::new(case, nominal, setting, begin_motion(case, poses, setting), begin);
+        poses: &[AffineMap],
+        begin: FitStart<'a>,
+    ) -> PictureFit<'a> {
+        let mut fit = PictureFit::new(case, nominal, setting, begin_motion(case, poses, setting), begin);
         fit.rounds(0, setting.rounds.0, setting.steps.0);
         fit
     }
 
     /// And from there on the fine one.
-    fn fine(mut self) -> Picture {
+    fn fine(mut self) -> ScenePicture {
         let PictureSetting { rounds, steps, .. } = *self.setting;
-        self.refine(&Block::all(self.case.extent));
+        self.refine(&Block::whole_array(self.case.extent));
         self.rounds(rounds.0, rounds.0 + rounds.1, steps.1);
         self.picture
     }
 
-    /// What the picture leaves of the frames, robustly and on a scale that does not depend on it.
+    /// Robust loss of the frame residuals, on a scale that does not depend on the picture.
     fn loss(&self) -> f64 {
         let residual = self.picture.residual.iter().enumerate().filter(|(_, residual)| residual.is_finite());
         let of = |(n, residual): (usize, &f32)| {
@@ -362,7 +368,7 @@ impl<'a> Fit<'a> {
     /// Lays what a block of pixels sees of the picture on the fine grid.
     fn refine(&mut self, block: &Block) {
         let fine = self.picture.covering(self.case, block, self.setting.pitch);
-        let Picture { grid, surface, .. } = &self.picture;
+        let ScenePicture { grid, surface, .. } = &self.picture;
         let value = |surface: &[f32], n: usize| {
             let x = fine.x0 + (n % fine.width) as f64 * fine.pitch;
             let y = fine.y0 + (n / fine.width) as f64 * fine.pitch;
@@ -380,7 +386,7 @@ impl<'a> Fit<'a> {
     fn rounds(&mut self, begin: usize, end: usize, steps: usize) {
         let knots = self.picture.motion.knots.len();
         let mut smooth = self.first_smoothness(knots);
-        let mut rows = self.lay(begin > 0);
+        let mut rows = self.frame_rows(begin > 0);
         if begin > 0 {
             self.reweigh(&mut rows);
             smooth = self.smoothness(knots, None);
@@ -398,13 +404,13 @@ impl<'a> Fit<'a> {
             smooth.rest_size =
                 (0..knots * DEGREES).map(|n| if n % DEGREES >= RIGID { stretch } else { 0.0 }).collect();
             smooth.rest_size.extend([1.0; TERMS]);
-            let now = Unknowns { picture: self.picture.surface.clone(), rest: self.flat() };
+            let now = PictureUnknowns { picture: self.picture.surface.clone(), rest: self.flat() };
             let step = solve(&rows, &self.picture.grid, &smooth, &now, knots, with_rest, steps);
             let mut by = 1.0;
             let before = self.picture.clone();
             loop {
-                self.take(&before, &step, by);
-                rows = self.lay(round + 1 >= 1);
+                self.apply_step(&before, &step, by);
+                rows = self.frame_rows(round + 1 >= 1);
                 let cost = self.cost(&rows, &smooth);
                 if cost < best || by < 0.2 || round == 0 {
                     break;
@@ -416,7 +422,14 @@ impl<'a> Fit<'a> {
             self.picture.report.misfit.push(misfit);
             let open = (begin > 0).then(|| {
                 let mut random = Random::new(SEED, &[round as u64]);
-                draw(&rows, &self.picture.grid, &smooth, knots, self.setting.draw_steps, &mut random)
+                posterior_draw(
+                    &rows,
+                    &self.picture.grid,
+                    &smooth,
+                    knots,
+                    self.setting.draw_steps,
+                    &mut random,
+                )
             });
             smooth = self.smoothness(knots, open.as_deref());
             best = self.cost(&rows, &smooth);
@@ -427,10 +440,11 @@ impl<'a> Fit<'a> {
         if begin > 0 {
             let mut step = Vec::new();
             for _ in 0..self.setting.again {
-                // What measurements hardly hold asks for much the same every time.
-                step = again(&rows, &self.picture.grid, &smooth, knots, self.setting.again_steps, &step);
+                // Weakly constrained parts need about the same step every time.
+                step =
+                    twicing_step(&rows, &self.picture.grid, &smooth, knots, self.setting.again_steps, &step);
                 self.picture.surface.iter_mut().zip(&step).for_each(|(c, step)| *c += step);
-                rows.look_at(&self.picture.grid, &self.picture.surface);
+                rows.update_residuals(&self.picture.grid, &self.picture.surface);
                 self.reweigh(&mut rows);
             }
         }
@@ -443,8 +457,8 @@ impl<'a> Fit<'a> {
         rest
     }
 
-    fn take(&mut self, before: &Picture, step: &Unknowns, by: f64) {
-        let mut now = Unknowns {
+    fn apply_step(&mut self, before: &ScenePicture, step: &PictureUnknowns, by: f64) {
+        let mut now = PictureUnknowns {
             picture: before.surface.clone(),
             rest: before.motion.knots.iter().flatten().copied().chain(before.shading).collect(),
         };
@@ -457,7 +471,7 @@ impl<'a> Fit<'a> {
         self.picture.surface = now.picture;
     }
 
-    fn cost(&self, rows: &Rows, smooth: &Smoothness) -> f64 {
+    fn cost(&self, rows: &MeasurementRows, smooth: &Smoothness) -> f64 {
         let robust = ROBUST * self.scale;
         let misfit: f64 = (0..rows.count())
             .filter(|&r| rows.weight[r] > 0.0)
@@ -470,7 +484,7 @@ impl<'a> Fit<'a> {
     }
 
     /// The standard deviation that a row's value is assumed to have, without robustness.
-    fn sigma_of(&self, rows: &Rows, r: usize) -> f64 {
+    fn sigma_of(&self, rows: &MeasurementRows, r: usize) -> f64 {
         self.sigma(f64::from(rows.signal[r]))
     }
 
@@ -491,9 +505,9 @@ impl<'a> Fit<'a> {
         }
     }
 
-    /// Weights by the picture's own second differences: their mean square nearby, a share of the overall one,
-    /// and what is always possible. `open` is a draw of what measurements leave open of the picture: a fitted
-    /// picture alone is smoother than the scene, and a little more so in every round.
+    /// Smoothness weights from the picture's own second differences: their mean square nearby, a share of the
+    /// overall one, and a constant. `open` is a posterior sample of the picture's error: a fitted picture
+    /// alone is smoother than the scene, and a little more so in every round.
     fn smoothness(&self, knots: usize, open: Option<&[f32]>) -> Smoothness {
         let grid = &self.picture.grid;
         let (w, h) = (grid.width, grid.height);
@@ -559,8 +573,8 @@ impl<'a> Fit<'a> {
         }
     }
 
-    /// Robust weights and the scale of the noise; gives the misfit.
-    fn reweigh(&mut self, rows: &mut Rows) -> f64 {
+    /// Updates robust weights and the noise scale; returns the misfit.
+    fn reweigh(&mut self, rows: &mut MeasurementRows) -> f64 {
         let z: Vec<f64> =
             (0..rows.count()).map(|r| f64::from(rows.residual[r]).abs() / self.sigma_of(rows, r)).collect();
         let mut sizes: Vec<f64> =
@@ -583,7 +597,7 @@ impl<'a> Fit<'a> {
         misfit
     }
 
-    fn keep_residuals(&mut self, rows: &Rows) {
+    fn keep_residuals(&mut self, rows: &MeasurementRows) {
         let mut residual = vec![f32::NAN; self.case.frame_count() * self.case.extent.pixels()];
         for (at, value) in rows.index.iter().zip(&rows.residual) {
             residual[*at as usize] = *value;
@@ -594,7 +608,7 @@ impl<'a> Fit<'a> {
 }
 
 /// A grid over everything that a block of pixels sees during exposures.
-fn cover(case: &Case, motion: &Motion, centre: (f64, f64), pitch: f64, block: &Block) -> Grid {
+fn cover(case: &Case, motion: &PictureMotion, centre: (f64, f64), pitch: f64, block: &Block) -> SplineGrid {
     let (mut low, mut high) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
     let begin = (block.x as f64, block.y as f64);
     let end = (begin.0 + block.width as f64 - 1.0, begin.1 + block.height as f64 - 1.0);
@@ -611,7 +625,8 @@ fn cover(case: &Case, motion: &Motion, centre: (f64, f64), pitch: f64, block: &B
         }
     }
     const MARGIN: f64 = 2.0;
-    let mut grid = Grid::over((low.0 - MARGIN, low.1 - MARGIN), (high.0 + MARGIN, high.1 + MARGIN), pitch);
+    let mut grid =
+        SplineGrid::covering((low.0 - MARGIN, low.1 - MARGIN), (high.0 + MARGIN, high.1 + MARGIN), pitch);
     // Lines of stencils are padded to whole lanes.
     grid.width = grid.width.next_multiple_of(LANES);
     grid

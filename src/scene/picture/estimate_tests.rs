@@ -23,26 +23,26 @@ fn derivatives_of(case: &Case, ground: Option<&[f32]>) {
     let nominal = case.nominal().unwrap();
     let setting = PictureSetting::default();
     let poses = vec![[0.3, 1.01, 0.02, -0.4, -0.02, 0.99]; case.frame_count()];
-    let mut fit = Fit::new(
+    let mut fit = PictureFit::new(
         case,
         &nominal,
         &setting,
         begin_motion(case, &poses, &setting),
-        Begin { counts: None, ground, selected: None },
+        FitStart { counts: None, ground, selected: None },
     );
     let mut random = Random::new(3, &[]);
     let typical = fit.typical as f32;
     fit.picture.surface.iter_mut().for_each(|c| *c += 0.2 * typical * random.normal() as f32);
     fit.picture.shading.iter_mut().for_each(|term| *term = 0.02 * random.normal());
-    let rows = fit.lay(true);
+    let rows = fit.frame_rows(true);
     assert!(rows.count() > 500);
     let begun = fit.picture.clone();
-    let mut moved = |change: &dyn Fn(&mut Picture, f64)| -> Vec<f64> {
+    let mut moved = |change: &dyn Fn(&mut ScenePicture, f64)| -> Vec<f64> {
         let by = 1e-4;
-        let at = |fit: &mut Fit<'_>, by: f64| {
+        let at = |fit: &mut PictureFit<'_>, by: f64| {
             fit.picture = begun.clone();
             change(&mut fit.picture, by);
-            fit.lay(false).residual
+            fit.frame_rows(false).residual
         };
         let (more, less) = (at(&mut fit, by), at(&mut fit, -by));
         // A residual falls as what is predicted rises.
@@ -54,7 +54,7 @@ fn derivatives_of(case: &Case, ground: Option<&[f32]>) {
         for (r, finite) in finite.iter().enumerate() {
             let first = rows.knot[r] as usize;
             let own = if (first..first + TOUCHED).contains(&knot) {
-                f64::from(rows.rest_of(r)[POSES + (knot - first) * DEGREES + degree])
+                f64::from(rows.other_derivatives(r)[POSES + (knot - first) * DEGREES + degree])
             } else {
                 0.0
             };
@@ -67,7 +67,7 @@ fn derivatives_of(case: &Case, ground: Option<&[f32]>) {
     for term in 0..TERMS {
         let finite = moved(&|picture, by| picture.shading[term] += by);
         for (r, finite) in finite.iter().enumerate() {
-            let own = f64::from(rows.rest_of(r)[term]);
+            let own = f64::from(rows.other_derivatives(r)[term]);
             assert!((own - finite).abs() < 0.02 * own.abs() + 1.5, "term {term}, row {r}: {own} is {finite}");
         }
     }
@@ -79,7 +79,7 @@ fn the_same_recording_gives_the_same_picture_with_any_number_of_threads() {
     let nominal = case.nominal().unwrap();
     let of = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| Picture::fit(&case, &nominal, &PictureSetting::default()).unwrap().surface)
+        pool.install(|| ScenePicture::fit(&case, &nominal, &PictureSetting::default()).unwrap().surface)
     };
     assert_eq!(of(1), of(2));
 }
@@ -90,15 +90,21 @@ fn sharpening_narrows_edges_and_leaves_what_is_flat() {
     let nominal = case.nominal().unwrap();
     let setting = PictureSetting { coarse_pitch: 0.5, ..PictureSetting::default() };
     let poses = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]; case.frame_count()];
-    let mut picture =
-        Fit::new(&case, &nominal, &setting, begin_motion(&case, &poses, &setting), Begin::default()).picture;
+    let mut picture = PictureFit::new(
+        &case,
+        &nominal,
+        &setting,
+        begin_motion(&case, &poses, &setting),
+        FitStart::default(),
+    )
+    .picture;
     let grid = picture.grid;
     let edge = |x: f64| 100.0 + 50.0 * libm::tanh(x / 0.8);
     picture.surface = (0..grid.coefficients())
         .map(|n| edge(grid.x0 + (n % grid.width) as f64 * grid.pitch) as f32)
         .collect();
     let sharp = picture.sharpened(0.4);
-    let width = |of: &Picture| {
+    let width = |of: &ScenePicture| {
         let values: Vec<f64> =
             (-400..=400).map(|k| of.grid.value(&of.surface, f64::from(k) * 0.01, 0.3).unwrap()).collect();
         assert!(values.windows(2).all(|pair| pair[1] >= pair[0] - 1e-3), "an edge that rises goes on rising");

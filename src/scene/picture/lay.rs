@@ -1,12 +1,12 @@
 //! Frame values as rows of the least-squares problem: the part of the grid that each pixel collects light
 //! from during its exposure.
 
-use super::coverage::Behind;
-use super::estimate::{Fit, Picture};
-use super::motion::{DEGREES, Map, Pose, apply, derivatives, map_of};
-use super::rows::{LANES, POSES, REST, Rows, TOUCHED};
+use super::coverage::StillGround;
+use super::estimate::{PictureFit, ScenePicture};
+use super::motion::{AffineMap, AffinePose, DEGREES, apply, derivatives, map_of};
+use super::rows::{LANES, MeasurementRows, POSES, REST, TOUCHED};
 use super::shading::{self, TERMS};
-use super::spline::{Grid, ORDER, weights};
+use super::spline::{ORDER, SplineGrid, weights};
 use super::system::stamp;
 use rayon::prelude::*;
 
@@ -22,9 +22,9 @@ const INSTANTS: [(f64, f64); 6] = [
 
 /// One instant of a row's exposure.
 #[derive(Clone, Copy)]
-struct Moment {
-    map: Map,
-    pose: Pose,
+struct RowInstant {
+    map: AffineMap,
+    pose: AffinePose,
     knot: usize,
     weights: [f64; ORDER],
     share: f64,
@@ -32,7 +32,7 @@ struct Moment {
 
 /// How a row of a frame is exposed.
 struct RowExposure {
-    instants: [Moment; 6],
+    instants: [RowInstant; 6],
     /// The first knot of the motion that it depends on.
     knot: usize,
     /// So many knots from there on.
@@ -42,9 +42,9 @@ struct RowExposure {
 }
 
 /// Intervals of the grid in which the place of a pixel stands at the instants of its exposure.
-type Located = [(usize, usize, f64, f64); 6];
+type GridPlaces = [(usize, usize, f64, f64); 6];
 
-/// The part of the grid that a pixel sees during its exposure.
+/// The part of the grid that a pixel covers during its exposure.
 struct Footprint {
     /// First column and line.
     low: (usize, usize),
@@ -53,7 +53,7 @@ struct Footprint {
 }
 
 impl Footprint {
-    fn of(located: &Located, grid: &Grid) -> Footprint {
+    fn from_places(located: &GridPlaces, grid: &SplineGrid) -> Footprint {
         let low = (
             located.iter().map(|at| at.0).min().unwrap_or(0),
             located.iter().map(|at| at.1).min().unwrap_or(0),
@@ -68,7 +68,7 @@ impl Footprint {
     }
 
     /// Shares of the coefficients of a signal in which a photocurrent of 1 is `scale`.
-    fn fill(&self, stencil: &mut Vec<f32>, located: &Located, instants: &[Moment; 6], scale: f64) {
+    fn fill(&self, stencil: &mut Vec<f32>, located: &GridPlaces, instants: &[RowInstant; 6], scale: f64) {
         stencil.clear();
         stencil.resize(self.columns * self.lines, 0.0);
         for ((i, j, f, g), instant) in located.iter().zip(instants) {
@@ -85,16 +85,16 @@ impl Footprint {
     }
 }
 
-impl Fit<'_> {
-    /// Puts every frame value on the grid at the present motion.
-    pub(super) fn lay(&self, with_rest: bool) -> Rows {
+impl PictureFit<'_> {
+    /// Rows of all frame values on the grid at the present motion.
+    pub(super) fn frame_rows(&self, with_rest: bool) -> MeasurementRows {
         let height = self.case.extent.height as usize;
         let count = self.case.frame_count();
-        let parts: Vec<Rows> = (0..count * height)
+        let parts: Vec<MeasurementRows> = (0..count * height)
             .into_par_iter()
             .map(|n| self.lay_row(n / height, n % height, with_rest))
             .collect();
-        let mut rows = Rows { first: vec![0], ..Rows::default() };
+        let mut rows = MeasurementRows { first: vec![0], ..MeasurementRows::default() };
         for part in parts {
             let begun = rows.stencil.len() as u32;
             rows.first.extend(part.first.iter().skip(1).map(|at| at + begun));
@@ -123,11 +123,11 @@ impl Fit<'_> {
         let exposure = times.exposure(l, y as u32);
         let (start, end) = (exposure.start.0, exposure.end.0);
         let seconds = (end - start) as f64 * 1e-9;
-        let instants: [Moment; 6] = INSTANTS.map(|(place, share)| {
+        let instants: [RowInstant; 6] = INSTANTS.map(|(place, share)| {
             let t_ns = i64::midpoint(start, end) + (0.5 * place * (end - start) as f64) as i64;
             let (knot, weights) = motion.weights(t_ns);
             let pose = motion.pose(t_ns);
-            Moment { map: map_of(&pose, motion.half), pose, knot, weights, share }
+            RowInstant { map: map_of(&pose, motion.half), pose, knot, weights, share }
         });
         let knot = instants[0].knot;
         let touched = instants
@@ -138,14 +138,14 @@ impl Fit<'_> {
         RowExposure { instants, knot, touched, factor: self.nominal.number.gain * seconds }
     }
 
-    /// What the knots of the motion change of a frame value at a place; `scale`: of the signal, `behind`: the
-    /// ground there.
+    /// Derivative of a frame value at a place by the knots of the motion. `scale`: of the signal, `behind`:
+    /// the ground there.
     fn by_motion(
         &self,
         row: &RowExposure,
         place: (f64, f64),
         scale: f64,
-        behind: Option<Behind>,
+        behind: Option<StillGround>,
     ) -> [f32; REST] {
         let motion = &self.picture.motion;
         let mut by_rest = [0.0_f32; REST];
@@ -166,18 +166,18 @@ impl Fit<'_> {
     }
 
     /// Puts the values of row `y` of frame `l` on the grid.
-    fn lay_row(&self, l: usize, y: usize, with_rest: bool) -> Rows {
-        let Picture { grid, motion, shading: terms, centre, .. } = &self.picture;
+    fn lay_row(&self, l: usize, y: usize, with_rest: bool) -> MeasurementRows {
+        let ScenePicture { grid, motion, shading: terms, centre, .. } = &self.picture;
         let (surface, hidden) = self.picture.fields();
         let row = self.row_exposure(l, y);
         let RowExposure { instants, knot, touched, factor } = &row;
         let number = self.nominal.number;
-        let mut rows = Rows { first: vec![0], ..Rows::default() };
+        let mut rows = MeasurementRows { first: vec![0], ..MeasurementRows::default() };
         let mut stencil: Vec<f32> = Vec::new();
         for x in 0..self.case.extent.width as usize {
             let pixel = y * self.case.extent.width as usize + x;
             let dn = self.case.dn(l, pixel);
-            let behind = self.picture.behind(pixel);
+            let behind = self.picture.still_ground(pixel);
             if !dn.is_finite()
                 || self.selected.is_some_and(|selected| !selected[pixel])
                 || behind.is_some_and(|behind| !behind.ground.is_finite())
@@ -196,7 +196,7 @@ impl Fit<'_> {
                 continue;
             }
             let located = located.map(Option::unwrap_or_default);
-            let footprint = Footprint::of(&located, grid);
+            let footprint = Footprint::from_places(&located, grid);
             footprint.fill(&mut stencil, &located, instants, scale);
             let Footprint { low, columns, .. } = footprint;
             let corner = low.1 * grid.width + low.0;

@@ -38,6 +38,6 @@ pub(crate) mod sharpen;
 pub(crate) mod spline;
 pub(crate) mod system;
 
-pub use estimate::{Begin, Picture, Report};
+pub use estimate::{FitStart, PictureReport, ScenePicture};
 pub use setting::PictureSetting;
 pub(crate) use setting::{FRAME_NOISE, MOTION_WEIGHT, ROBUST, STRETCH};

@@ -1,7 +1,7 @@
 //! How the picture lies on the array over time: shift, turn, scale and shear, each a cubic spline of time.
 //!
 //! All are in pixels: turn, scale and shear are what they move a point at the edge of the array
-//! ([`Motion::half`] from its centre).
+//! ([`PictureMotion::half`] from its centre).
 
 use super::spline::{ORDER, weights};
 
@@ -11,13 +11,13 @@ pub(crate) const DEGREES: usize = 6;
 pub(crate) const RIGID: usize = 3;
 
 /// Shift, turn, scale and shears, pixels.
-pub(crate) type Pose = [f64; DEGREES];
+pub(crate) type AffinePose = [f64; DEGREES];
 
 /// An affine map of places in pixels from the array's centre: `X = m0 + m1 x + m2 y`, `Y = m3 + m4 x + m5 y`.
-pub(crate) type Map = [f64; 6];
+pub(crate) type AffineMap = [f64; 6];
 
 /// The map of a pose.
-pub(crate) fn map_of(pose: &Pose, half: f64) -> Map {
+pub(crate) fn map_of(pose: &AffinePose, half: f64) -> AffineMap {
     let (turn, scale, a, b) = (pose[2] / half, libm::exp(pose[3] / half), pose[4] / half, pose[5] / half);
     let (c, s) = (scale * libm::cos(turn), scale * libm::sin(turn));
     [
@@ -31,7 +31,7 @@ pub(crate) fn map_of(pose: &Pose, half: f64) -> Map {
 }
 
 /// The pose of a map.
-pub(crate) fn pose_of(map: &Map, half: f64) -> Pose {
+pub(crate) fn pose_of(map: &AffineMap, half: f64) -> AffinePose {
     // A = k R(turn) (1 + a, b; b, 1 - a): sums give turn and scale, differences the shears.
     let turn = libm::atan2(map[4] - map[2], map[1] + map[5]);
     let scale = 0.5 * libm::hypot(map[4] - map[2], map[1] + map[5]);
@@ -46,12 +46,12 @@ pub(crate) fn pose_of(map: &Map, half: f64) -> Pose {
 
 /// Where a map takes a place.
 #[inline]
-pub(crate) fn apply(map: &Map, x: f64, y: f64) -> (f64, f64) {
+pub(crate) fn apply(map: &AffineMap, x: f64, y: f64) -> (f64, f64) {
     (map[0] + map[1] * x + map[2] * y, map[3] + map[4] * x + map[5] * y)
 }
 
 /// `first` after `second`.
-pub(crate) fn compose(first: &Map, second: &Map) -> Map {
+pub(crate) fn compose(first: &AffineMap, second: &AffineMap) -> AffineMap {
     let (x, y) = apply(first, second[0], second[3]);
     let part = |a: f64, b: f64| (first[1] * a + first[2] * b, first[4] * a + first[5] * b);
     let ((xx, yx), (xy, yy)) = (part(second[1], second[4]), part(second[2], second[5]));
@@ -60,7 +60,13 @@ pub(crate) fn compose(first: &Map, second: &Map) -> Map {
 
 /// Derivatives of the place that a pose takes (`x`, `y`) to, by each of its numbers.
 #[inline]
-pub(crate) fn derivatives(map: &Map, pose: &Pose, half: f64, x: f64, y: f64) -> [(f64, f64); DEGREES] {
+pub(crate) fn derivatives(
+    map: &AffineMap,
+    pose: &AffinePose,
+    half: f64,
+    x: f64,
+    y: f64,
+) -> [(f64, f64); DEGREES] {
     let (px, py) = apply(map, x, y);
     let (dx, dy) = ((px - map[0]) / half, (py - map[3]) / half);
     let scale = libm::exp(pose[3] / half);
@@ -77,7 +83,7 @@ pub(crate) fn derivatives(map: &Map, pose: &Pose, half: f64, x: f64, y: f64) -> 
 
 /// The motion of a picture.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Motion {
+pub struct PictureMotion {
     /// Splines hold from this instant on, ns.
     pub start_ns: i64,
     /// Time between knots, ns.
@@ -85,14 +91,14 @@ pub struct Motion {
     /// Half of the array's longer side, pixels.
     pub half: f64,
     /// The splines' coefficients.
-    pub knots: Vec<Pose>,
+    pub knots: Vec<AffinePose>,
 }
 
-impl Motion {
+impl PictureMotion {
     /// No motion, over a span of time.
-    pub fn still(span: (i64, i64), knot_ns: i64, half: f64) -> Motion {
+    pub fn at_rest(span: (i64, i64), knot_ns: i64, half: f64) -> PictureMotion {
         let intervals = ((span.1 - span.0).max(1) as u64).div_ceil(knot_ns as u64) as usize;
-        Motion { start_ns: span.0, knot_ns, half, knots: vec![[0.0; DEGREES]; intervals + ORDER - 1] }
+        PictureMotion { start_ns: span.0, knot_ns, half, knots: vec![[0.0; DEGREES]; intervals + ORDER - 1] }
     }
 
     /// The first of the four knots that hold at an instant, and their weights; the nearest end of the spline
@@ -107,7 +113,7 @@ impl Motion {
 
     /// The pose at an instant.
     #[inline]
-    pub fn pose(&self, t_ns: i64) -> Pose {
+    pub fn pose(&self, t_ns: i64) -> AffinePose {
         let (first, weights) = self.weights(t_ns);
         let mut pose = [0.0; DEGREES];
         for (knot, weight) in self.knots[first..first + ORDER].iter().zip(weights) {
@@ -120,7 +126,7 @@ impl Motion {
 
     /// The map at an instant.
     #[inline]
-    pub fn at(&self, t_ns: i64) -> Map {
+    pub fn at(&self, t_ns: i64) -> AffineMap {
         map_of(&self.pose(t_ns), self.half)
     }
 }

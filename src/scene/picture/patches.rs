@@ -10,8 +10,8 @@
 //! one motion.
 
 use super::begin::{images, moving};
-use super::estimate::{Begin, Picture};
-use super::motion::{Map, apply, compose};
+use super::estimate::{FitStart, ScenePicture};
+use super::motion::{AffineMap, apply, compose};
 use super::setting::PictureSetting;
 use crate::case::{Case, CaseFrames, PixelEvents};
 use crate::nominal::Nominal;
@@ -50,13 +50,13 @@ const SHARED: usize = 1;
 const REACH: i32 = 12;
 /// Largest turn from frame to frame of the whole array, radians.
 pub const TURN: f64 = 0.8;
-/// What a shift by one pixel must gain of the mean difference of frames, as a share.
+/// Least gain of a shift by one pixel, as a share of the mean difference of frames.
 const SHIFT_COST: f64 = 0.01;
-/// A value that changes by more than so many standard deviations moves.
+/// Standard deviations from which on a value changes.
 pub(crate) const MOVES: f64 = 4.0;
 /// Fewer moving values than this are not fitted.
 const LEAST_VALUES: usize = 200;
-/// Fewer events in a tile and window are not worth a picture.
+/// Least number of events in a tile and window for a picture.
 pub(crate) const LEAST_EVENTS: usize = 12;
 
 impl PatchSetting {
@@ -87,7 +87,7 @@ impl PatchSetting {
 
 /// A part of the array, for some frames.
 #[derive(Clone, Debug)]
-pub struct Part {
+pub struct PatchPart {
     /// Columns of the array that are fitted.
     pub columns: Range<u32>,
     /// Rows.
@@ -96,18 +96,18 @@ pub struct Part {
     pub frames: Range<usize>,
 }
 
-impl Part {
+impl PatchPart {
     /// Around a tile.
-    pub fn around(
+    pub fn around_tile(
         tile: &(Range<u32>, Range<u32>),
         frames: Range<usize>,
         extent: Extent,
         setting: &PatchSetting,
-    ) -> Part {
+    ) -> PatchPart {
         let wider = |range: &Range<u32>, end: u32| {
             range.start.saturating_sub(setting.margin)..(range.end + setting.margin).min(end)
         };
-        Part { columns: wider(&tile.0, extent.width), rows: wider(&tile.1, extent.height), frames }
+        PatchPart { columns: wider(&tile.0, extent.width), rows: wider(&tile.1, extent.height), frames }
     }
 
     /// Size of the part.
@@ -120,11 +120,11 @@ impl Part {
         self.rows.clone().flat_map(move |y| self.columns.clone().map(move |x| (y * width + x) as usize))
     }
 
-    /// Its frames as a recording without events; times are those of the whole recording.
+    /// Its frames as a recording without events, with the times of the whole recording.
     ///
     /// # Panics
     /// When the recording has no frames.
-    pub fn of(&self, case: &Case) -> Case {
+    pub fn cut_from(&self, case: &Case) -> Case {
         let frames = case.frames.as_ref().expect("frames are there");
         let times = &frames.times;
         let exposures: Vec<Exposure> =
@@ -152,8 +152,8 @@ impl Part {
     }
 }
 
-/// What stands still behind everything: the value that most frames have of a pixel, DN; NaN where fewer than
-/// the share `least` of them agree.
+/// The still ground: the value that most frames have of a pixel, DN; NaN where fewer than the share `least`
+/// of them agree.
 pub fn ground(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64, least: f64) -> Vec<f64> {
     let count = case.frame_count();
     let of = |pixel: usize| {
@@ -202,16 +202,16 @@ pub fn foreground(
 
 /// A part with its picture.
 #[derive(Clone, Debug)]
-pub struct Patch {
+pub struct PicturePatch {
     /// Where and when.
-    pub part: Part,
+    pub part: PatchPart,
     /// Which of its frame values were fitted.
     counts: Vec<bool>,
     /// Its picture, in pixels from the part's centre.
-    pub picture: Picture,
+    pub picture: ScenePicture,
 }
 
-impl Patch {
+impl PicturePatch {
     /// Fits a picture to a part of a recording; none where too little moves.
     ///
     /// `moves`: which frame values of the whole recording belong to something that moves ([`foreground`]);
@@ -221,10 +221,10 @@ impl Patch {
         nominal: &Nominal,
         moves: &[bool],
         ground: Option<&[f32]>,
-        part: Part,
+        part: PatchPart,
         of_picture: &PictureSetting,
-    ) -> Option<Patch> {
-        let own = part.of(case);
+    ) -> Option<PicturePatch> {
+        let own = part.cut_from(case);
         if own.extent.width.min(own.extent.height) < 8 || own.frame_count() < 3 {
             return None;
         }
@@ -241,33 +241,33 @@ impl Patch {
             return None;
         }
         // A part is too small to turn much.
-        let poses = follow(&own, nominal, &counts, 0.0);
+        let poses = follow_motion(&own, nominal, &counts, 0.0);
         let ground: Option<Vec<f32>> =
             ground.map(|ground| part.pixels(case.extent.width).map(|pixel| ground[pixel]).collect());
         if ground.is_some() {
             // What stands still is explained as well.
             counts.fill(true);
         }
-        let picture = Picture::fit_from(
+        let picture = ScenePicture::fit_from(
             &own,
             nominal,
             of_picture,
             &[&poses],
-            Begin { counts: Some(&counts), ground: ground.as_deref(), selected: None },
+            FitStart { counts: Some(&counts), ground: ground.as_deref(), selected: None },
         );
-        Some(Patch { part, counts, picture })
+        Some(PicturePatch { part, counts, picture })
     }
 
     /// Fits the frames of another recording of the same scene, from here on.
     #[must_use]
-    pub fn refit(&self, case: &Case, nominal: &Nominal, of_picture: &PictureSetting) -> Patch {
-        Patch {
-            picture: self.picture.refit(&self.part.of(case), nominal, of_picture, Some(&self.counts)),
+    pub fn refit(&self, case: &Case, nominal: &Nominal, of_picture: &PictureSetting) -> PicturePatch {
+        PicturePatch {
+            picture: self.picture.refit(&self.part.cut_from(case), nominal, of_picture, Some(&self.counts)),
             ..self.clone()
         }
     }
 
-    /// The same with what its frames leave open drawn at random, and as sharp as it may be.
+    /// A posterior sample of it, as sharp as it may be.
     #[must_use]
     pub fn posterior_sample(
         &self,
@@ -275,14 +275,20 @@ impl Patch {
         nominal: &Nominal,
         of_picture: &PictureSetting,
         seed: u64,
-    ) -> Patch {
-        let drawn = self.picture.drawn(&self.part.of(case), nominal, of_picture, Some(&self.counts), seed);
-        Patch { picture: drawn.sharpened(of_picture.sharpest), ..self.clone() }
+    ) -> PicturePatch {
+        let drawn = self.picture.posterior_sample(
+            &self.part.cut_from(case),
+            nominal,
+            of_picture,
+            Some(&self.counts),
+            seed,
+        );
+        PicturePatch { picture: drawn.sharpened(of_picture.sharpest), ..self.clone() }
     }
 
     /// Residual of a frame value of the array, DN; NaN where it took no part.
     pub fn residual(&self, frame: usize, x: u32, y: u32) -> f32 {
-        let Part { columns, rows, frames } = &self.part;
+        let PatchPart { columns, rows, frames } = &self.part;
         if !(frames.contains(&frame) && columns.contains(&x) && rows.contains(&y)) {
             return f32::NAN;
         }
@@ -294,7 +300,7 @@ impl Patch {
 
 /// The one motion from frame to frame that predicts moving values best, a shift or a turn around their
 /// middle by at most `most_turn` radians: poses of all frames.
-pub fn follow(case: &Case, nominal: &Nominal, counts: &[bool], most_turn: f64) -> Vec<Map> {
+pub fn follow_motion(case: &Case, nominal: &Nominal, counts: &[bool], most_turn: f64) -> Vec<AffineMap> {
     let smooth: Vec<_> = images(case, nominal).iter().map(|image| image.smoothed(1)).collect();
     let width = case.extent.width as usize;
     let pixels = case.extent.pixels();
@@ -306,7 +312,7 @@ pub fn follow(case: &Case, nominal: &Nominal, counts: &[bool], most_turn: f64) -
     let all = f64::max(moving.len() as f64, 1.0);
     let (mx, my) = moving.iter().fold((0.0, 0.0), |sum, at| (sum.0 + at.1 / all, sum.1 + at.2 / all));
     let radius = moving.iter().map(|at| libm::hypot(at.1 - mx, at.2 - my)).sum::<f64>() / all;
-    let map = |dx: f64, dy: f64, turn: f64| -> Map {
+    let map = |dx: f64, dy: f64, turn: f64| -> AffineMap {
         let (c, s) = (libm::cos(turn), libm::sin(turn));
         [mx - c * mx + s * my + dx, c, -s, my - s * mx - c * my + dy, s, c]
     };
@@ -360,7 +366,7 @@ pub fn follow(case: &Case, nominal: &Nominal, counts: &[bool], most_turn: f64) -
         }
     }
     let step = map(best.0, best.1, best.2);
-    let mut poses: Vec<Map> = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]];
+    let mut poses: Vec<AffineMap> = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]];
     while poses.len() < case.frame_count() {
         poses.push(compose(poses.last().expect("one is there"), &step));
     }

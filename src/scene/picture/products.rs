@@ -1,18 +1,17 @@
-//! What conjugate gradients spend their time in: products of rows with steps, sums of rows, and the pull of
-//! smoothness.
+//! Kernels of the conjugate gradients: products of rows with steps, sums of rows, and the smoothness term.
 //!
 //! Sums are taken in [`LANES`] side by side, and nothing is contracted: the same bits on every processor.
 
-use super::motion::{Map, apply};
-use super::rows::{LANES, REST, Rows};
-use super::spline::Grid;
+use super::motion::{AffineMap, apply};
+use super::rows::{LANES, MeasurementRows, REST};
+use super::spline::SplineGrid;
 use multiversion::multiversion;
 use photocurrent_sensor::elementary::ln;
 use std::ops::Range;
 
 /// Sum of side-by-side sums, in a fixed order.
 #[inline(always)]
-fn joined(sum: [f32; LANES]) -> f32 {
+fn lane_sum(sum: [f32; LANES]) -> f32 {
     let [a, b, c, d, e, f, g, h] = sum;
     ((a + e) + (c + g)) + ((b + f) + (d + h))
 }
@@ -40,7 +39,7 @@ fn lanes(
 }
 
 #[inline(always)]
-fn along_row(rows: &Rows, width: usize, picture: &[f32], r: usize) -> f32 {
+fn along_row(rows: &MeasurementRows, width: usize, picture: &[f32], r: usize) -> f32 {
     let (corner, columns, stencil) = rows.line(r);
     let mut sum = [0.0_f32; LANES];
     lanes(corner, columns, width, stencil, |line, at| {
@@ -49,7 +48,7 @@ fn along_row(rows: &Rows, width: usize, picture: &[f32], r: usize) -> f32 {
             sum[lane] += f32::from(line[lane]) * under[lane];
         }
     });
-    let mut joint = joined(sum);
+    let mut joint = lane_sum(sum);
     if let Some(behind) = rows.behind.get(r) {
         let half = picture.len() / 2;
         let mut sum = [0.0_f32; LANES];
@@ -59,14 +58,20 @@ fn along_row(rows: &Rows, width: usize, picture: &[f32], r: usize) -> f32 {
                 sum[lane] += f32::from(line[lane]) * under[lane];
             }
         });
-        joint -= behind * joined(sum);
+        joint -= behind * lane_sum(sum);
     }
     rows.unit[r] * joint
 }
 
 /// Derivatives of rows along a step of the picture.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub fn along(rows: &Rows, width: usize, picture: &[f32], range: Range<usize>, out: &mut [f32]) {
+pub fn directional_derivatives(
+    rows: &MeasurementRows,
+    width: usize,
+    picture: &[f32],
+    range: Range<usize>,
+    out: &mut [f32],
+) {
     for (r, out) in range.zip(out) {
         *out = along_row(rows, width, picture, r);
     }
@@ -76,7 +81,7 @@ pub fn along(rows: &Rows, width: usize, picture: &[f32], range: Range<usize>, ou
 /// the picture, the first `rest` numbers take part.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
 pub fn transposed(
-    rows: &Rows,
+    rows: &MeasurementRows,
     width: usize,
     run: Range<usize>,
     step: Option<(&[f32], &[f32; REST])>,
@@ -97,7 +102,7 @@ pub fn transposed(
                         sum[lane] += f32::from(a[lane]) * b[lane];
                     }
                 }
-                derivative += rows.rest_unit[r] * joined(sum);
+                derivative += rows.rest_unit[r] * lane_sum(sum);
             }
             value *= derivative;
         }
@@ -127,7 +132,7 @@ pub fn transposed(
 
 /// Adds the squares of rows, each times its factor: the diagonal of the picture's block.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub fn squares(rows: &Rows, width: usize, range: Range<usize>, factor: &[f32], sum: &mut [f32]) {
+pub fn squares(rows: &MeasurementRows, width: usize, range: Range<usize>, factor: &[f32], sum: &mut [f32]) {
     for r in range {
         let (corner, columns, stencil) = rows.line(r);
         let by = factor[r] * rows.unit[r] * rows.unit[r];
@@ -151,10 +156,16 @@ pub fn squares(rows: &Rows, width: usize, range: Range<usize>, factor: &[f32], s
     }
 }
 
-/// Adds the products of what rows of one run have in addition to the picture, each times its factor: the
-/// first `rest` numbers.
+/// Adds the weighted products of the rows' derivatives by the other unknowns, over one run: the first `rest`
+/// numbers.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub fn of_rest(rows: &Rows, run: Range<usize>, rest: usize, factor: &[f32], sum: &mut [[f32; REST]; REST]) {
+pub fn other_products(
+    rows: &MeasurementRows,
+    run: Range<usize>,
+    rest: usize,
+    factor: &[f32],
+    sum: &mut [[f32; REST]; REST],
+) {
     for r in run {
         let by_rest = rows.by_rest[r].map(f32::from);
         let by_rest = &by_rest[..rest];
@@ -167,21 +178,21 @@ pub fn of_rest(rows: &Rows, run: Range<usize>, rest: usize, factor: &[f32], sum:
 }
 
 /// Squares of the weights of second differences.
-pub(super) struct Pull {
+pub(super) struct SmoothnessPull {
     along_x: Vec<f32>,
     along_y: Vec<f32>,
     across: Vec<f32>,
 }
 
-impl Pull {
+impl SmoothnessPull {
     /// Of weights.
-    pub(super) fn new(along_x: &[f32], along_y: &[f32], across: &[f32]) -> Pull {
+    pub(super) fn new(along_x: &[f32], along_y: &[f32], across: &[f32]) -> SmoothnessPull {
         let squares = |weights: &[f32]| weights.iter().map(|w| w * w).collect();
-        Pull { along_x: squares(along_x), along_y: squares(along_y), across: squares(across) }
+        SmoothnessPull { along_x: squares(along_x), along_y: squares(along_y), across: squares(across) }
     }
 
     /// Adds the pull of smoothness.
-    pub(super) fn add(&self, grid: &Grid, picture: &[f32], out: &mut [f32]) {
+    pub(super) fn add(&self, grid: &SplineGrid, picture: &[f32], out: &mut [f32]) {
         let count = grid.coefficients();
         for (layer, (picture, out)) in
             picture.chunks_exact(count).zip(out.chunks_exact_mut(count)).enumerate()
@@ -269,7 +280,7 @@ pub fn dot(a: &[f32], b: &[f32]) -> f64 {
 
 /// Values of a surface where maps take a place; NaN outside of it.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub fn values(grid: &Grid, surface: &[f32], maps: &[Map], place: (f64, f64)) -> Vec<f64> {
+pub fn values(grid: &SplineGrid, surface: &[f32], maps: &[AffineMap], place: (f64, f64)) -> Vec<f64> {
     let mut values = Vec::with_capacity(maps.len());
     for map in maps {
         let (x, y) = apply(map, place.0, place.1);

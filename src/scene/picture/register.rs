@@ -1,17 +1,17 @@
-//! How one frame lies on the next: an affine map, found by a search over turns and shifts and refined by
+//! Registers one frame to the next: an affine map, found by a search over turns and shifts and refined by
 //! Gauss-Newton.
 //!
 //! Source: Evangelidis and Psarakis, Parametric Image Alignment Using Enhanced Correlation Coefficient
 //! Maximization, PAMI 2008; Lucas and Kanade, IJCAI 1981.
 
-use super::motion::{DEGREES, Map as Affine, RIGID, apply, derivatives, map_of, pose_of};
+use super::motion::{AffineMap as Affine, DEGREES, RIGID, apply, derivatives, map_of, pose_of};
 use crate::image::Image;
 use multiversion::multiversion;
 use nalgebra::{SMatrix, SVector};
 
-/// What is searched.
+/// Ranges of the search.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Search {
+pub(crate) struct RegisterSearch {
     /// Largest turn between two frames, radians.
     pub turn: f64,
     /// Step of the search over turns, radians.
@@ -24,15 +24,15 @@ pub(crate) struct Search {
     pub shift_cost: f64,
     /// Standard deviation of scale and shear from one frame to the next, pixels at the array's edge.
     pub stretch: f64,
-    /// Scale and shear must lessen what correlation leaves to this share.
+    /// Share to which scale and shear must reduce the correlation's deficit to 1.
     pub stretched: f64,
     /// Rounds of Gauss-Newton.
     pub rounds: usize,
 }
 
-impl Default for Search {
-    fn default() -> Search {
-        Search {
+impl Default for RegisterSearch {
+    fn default() -> RegisterSearch {
+        RegisterSearch {
             turn: 1.05,
             turn_step: 0.07,
             shift: 0.2,
@@ -57,7 +57,7 @@ const LARGE: usize = 20_000;
 pub(crate) fn register(
     still: &Image,
     moved: &Image,
-    search: &Search,
+    search: &RegisterSearch,
     begin: Option<Affine>,
 ) -> (Affine, f64) {
     assert!(
@@ -99,7 +99,8 @@ pub(crate) fn register(
         // Scale and shear only where they explain: a star has none of its own.
         let mut pose = pose_of(&stretched, half);
         pose[RIGID..].fill(0.0);
-        let rigid = refine(&a, &b, map_of(&pose, half), &Search { stretch: 1e-6, ..*search }, search.rounds);
+        let rigid =
+            refine(&a, &b, map_of(&pose, half), &RegisterSearch { stretch: 1e-6, ..*search }, search.rounds);
         let left = |map: &Affine| 1.0 - correlation(&a, &b, map);
         let map = if left(&stretched) < search.stretched * left(&rigid) { stretched } else { rigid };
         let score = correlation(&a, &b, &map) - cost(&map, search, still.width);
@@ -111,22 +112,22 @@ pub(crate) fn register(
     (map, correlation(&a, &b, &map))
 }
 
-fn cost(map: &Affine, search: &Search, width: usize) -> f64 {
+fn cost(map: &Affine, search: &RegisterSearch, width: usize) -> f64 {
     let turn = libm::atan2(map[4] - map[2], map[1] + map[5]).abs();
     search.turn_cost * turn + search.shift_cost * libm::hypot(map[0], map[3]) / width as f64
 }
 
 /// Turns and shifts of images that were made smaller `by` so much whose correlation is largest, in full
 /// pixels.
-fn coarse(a: &Image, b: &Image, by: usize, search: &Search) -> Vec<Affine> {
+fn coarse(a: &Image, b: &Image, by: usize, search: &RegisterSearch) -> Vec<Affine> {
     let reach = (search.shift * a.width.max(a.height) as f64).ceil() as i64;
     let steps = (search.turn / search.turn_step).floor() as i64;
     let mut found: Vec<(f64, Affine)> = Vec::new();
-    let still = Masked::of(a);
+    let still = MaskedImage::from_image(a);
     for turn in -steps..=steps {
         let angle = turn as f64 * search.turn_step;
         let (c, s) = (libm::cos(angle), libm::sin(angle));
-        let moved = Masked::turned(b, (c, s));
+        let moved = MaskedImage::rotated(b, (c, s));
         let mut best: Option<(f64, Affine)> = None;
         for dy in -reach..=reach {
             for dx in -reach..=reach {
@@ -146,20 +147,20 @@ fn coarse(a: &Image, b: &Image, by: usize, search: &Search) -> Vec<Affine> {
 }
 
 /// An image less its mean, and where it is: 1, and 0 elsewhere.
-struct Masked {
+struct MaskedImage {
     width: usize,
     height: usize,
     values: Vec<f32>,
     mask: Vec<f32>,
 }
 
-impl Masked {
-    fn of(image: &Image) -> Masked {
-        Masked::turned(image, (1.0, 0.0))
+impl MaskedImage {
+    fn from_image(image: &Image) -> MaskedImage {
+        MaskedImage::rotated(image, (1.0, 0.0))
     }
 
     /// Turned about its centre by an angle of this cosine and sine.
-    fn turned(image: &Image, (c, s): (f64, f64)) -> Masked {
+    fn rotated(image: &Image, (c, s): (f64, f64)) -> MaskedImage {
         let (width, height) = (image.width, image.height);
         let (cx, cy) = image.centre();
         let mean = (image.values.iter().map(|v| f64::from(*v)).sum::<f64>() / (width * height) as f64) as f32;
@@ -170,12 +171,12 @@ impl Masked {
                 (values[k], mask[k]) = (value as f32 - mean, 1.0);
             }
         }
-        Masked { width, height, values, mask }
+        MaskedImage { width, height, values, mask }
     }
 
     /// The correlation with another one shifted by whole pixels, where both are; -1 where they share less
     /// than half of the array.
-    fn correlation(&self, moved: &Masked, dx: isize, dy: isize) -> f64 {
+    fn correlation(&self, moved: &MaskedImage, dx: isize, dy: isize) -> f64 {
         let (w, h) = (self.width as isize, self.height as isize);
         let mut sums = [0.0_f64; 6];
         let (from, to) = (dx.max(0), (w + dx).min(w));
@@ -248,7 +249,7 @@ fn correlation(a: &Image, b: &Image, map: &Affine) -> f64 {
 }
 
 /// Gauss-Newton on the pose and on gain and offset of the values, with Cauchy weights.
-fn refine(a: &Image, b: &Image, start: Affine, search: &Search, rounds: usize) -> Affine {
+fn refine(a: &Image, b: &Image, start: Affine, search: &RegisterSearch, rounds: usize) -> Affine {
     const VALUES: usize = DEGREES + 2;
     let (cx, cy) = a.centre();
     let half = cx.max(cy).max(1.0);
@@ -340,7 +341,7 @@ mod tests {
             let (found, correlation) = register(
                 &scene(&[0.0, 1.0, 0.0, 0.0, 0.0, 1.0], size),
                 &scene(&map, size),
-                &Search::default(),
+                &RegisterSearch::default(),
                 None,
             );
             assert!(correlation > 0.99, "{correlation}");

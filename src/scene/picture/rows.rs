@@ -1,16 +1,16 @@
-//! Frame values as rows of the least-squares problem: what each derives from, and in which parts they are
-//! added up.
+//! Frame values as rows of the least-squares problem: their derivatives, and the ranges in which they are
+//! summed.
 
 use super::motion::DEGREES;
 use super::shading::TERMS;
-use super::spline::Grid;
+use super::spline::SplineGrid;
 use std::ops::Range;
 
 /// Knots that one exposure may touch.
 pub(crate) const TOUCHED: usize = 6;
 /// Parts in which sums over rows are taken, at most.
 const PARTS: usize = 8;
-/// And each has at least so many rows.
+/// Least number of rows of each range.
 const LEAST_ROWS: usize = 4_096;
 /// Lines of stencils are padded to a multiple of this, so that they are added up side by side.
 pub(crate) const LANES: usize = 8;
@@ -22,7 +22,7 @@ pub(crate) const REST: usize = POSES + (TOUCHED * DEGREES).next_multiple_of(LANE
 
 /// Measurements, ready to be fitted.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Rows {
+pub(crate) struct MeasurementRows {
     /// Where the stencil of a row begins in `stencil`; one more than rows.
     pub first: Vec<u32>,
     /// The first coefficient of a row's stencil, and its columns, a multiple of [`LANES`].
@@ -32,11 +32,11 @@ pub(crate) struct Rows {
     pub stencil: Vec<u16>,
     /// The unit of each row.
     pub unit: Vec<f32>,
-    /// What is measured, DN above black.
+    /// Measured values, DN above black.
     pub measured: Vec<f32>,
     /// Is it at least that much?
     pub is_saturated: Vec<bool>,
-    /// What is not yet explained, DN.
+    /// Residuals, DN.
     pub residual: Vec<f32>,
     /// One over the standard deviation; 0 = left out.
     pub weight: Vec<f32>,
@@ -58,7 +58,7 @@ pub(crate) struct Rows {
     pub behind: Vec<f32>,
 }
 
-impl Rows {
+impl MeasurementRows {
     /// Number of rows.
     pub(crate) fn count(&self) -> usize {
         self.residual.len()
@@ -96,7 +96,7 @@ impl Rows {
 
     /// Derivatives of row r by shading and poses.
     #[cfg(test)]
-    pub(super) fn rest_of(&self, r: usize) -> [f32; REST] {
+    pub(super) fn other_derivatives(&self, r: usize) -> [f32; REST] {
         self.by_rest[r].map(|by| f32::from(by) * self.rest_unit[r])
     }
 
@@ -110,14 +110,14 @@ impl Rows {
     }
 
     /// Ranges of rows that are summed one by one.
-    pub(super) fn parts(&self) -> Vec<Range<usize>> {
+    pub(super) fn summing_ranges(&self) -> Vec<Range<usize>> {
         let parts = (self.count() / LEAST_ROWS).clamp(1, PARTS);
         let length = self.count().div_ceil(parts).max(1);
         (0..parts).map(|n| (n * length).min(self.count())..((n + 1) * length).min(self.count())).collect()
     }
 
     /// Rows of a range that touch the same knots, and how many numbers they have in addition to the picture.
-    pub(super) fn runs(&self, range: Range<usize>) -> impl Iterator<Item = (Range<usize>, usize)> {
+    pub(super) fn same_knot_runs(&self, range: Range<usize>) -> impl Iterator<Item = (Range<usize>, usize)> {
         let mut at = range.start;
         std::iter::from_fn(move || {
             let begun = at;
@@ -131,9 +131,9 @@ impl Rows {
         })
     }
 
-    /// How many exposures cover the place of each coefficient, of the frame values that were fitted: one
-    /// that lay there throughout counts 1, one that passed by less.
-    pub(super) fn coverage(&self, grid: &Grid) -> Vec<f32> {
+    /// Number of exposures of each coefficient's place among the fitted frame values: one that covers it
+    /// throughout counts 1, one that passes less.
+    pub(super) fn coverage(&self, grid: &SplineGrid) -> Vec<f32> {
         let mut coverage = vec![0.0; grid.coefficients()];
         // A frame spreads one value over each square pixel of the picture.
         let per_coefficient = (1.0 / (grid.pitch * grid.pitch)) as f32;

@@ -1,4 +1,4 @@
-//! How a picture is fitted.
+//! Settings of a picture's fit.
 
 use photocurrent_core::quantity::Duration;
 use schemars::JsonSchema;
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// Standard deviation of frame values beyond what is stated: DN, and a share of the signal.
 pub(crate) const FRAME_NOISE: (f64, f64) = (1.0, 0.005);
-/// Residuals count half at this many standard deviations.
+/// Standard deviations at which a residual has half the weight.
 pub(crate) const ROBUST: f64 = 4.0;
 /// Rounds of Gauss-Newton on each grid, at least.
 pub(super) const LEAST_ROUNDS: usize = 3;
@@ -22,9 +22,9 @@ pub(super) const POOLED: f64 = 0.1;
 pub(crate) const MOTION_WEIGHT: f64 = 1.0;
 /// Standard deviation of scale and shear, pixels at the array's edge.
 pub(crate) const STRETCH: f64 = 3.0;
-/// Where more than this share of frame values does not change, a scene that stands still is tried as well.
+/// Share of unchanging frame values above which a scene before a still ground is tried as well.
 pub(super) const STILL: f64 = 0.4;
-/// Seed of draws of what frames leave open.
+/// Seed of posterior samples.
 pub(super) const SEED: u64 = 1;
 
 /// How a picture is fitted.
@@ -37,14 +37,14 @@ pub struct PictureSetting {
     /// Shortest time between knots of the picture's motion.
     #[schemars(extend("x-min" = "1 ms", "x-max" = "1 s"))]
     pub knot: Duration,
-    /// The picture is fitted so many times more to what it leaves.
+    /// Number of further fits of the picture to its residuals (twicing).
     #[schemars(range(max = 50))]
     pub again: usize,
-    /// Of a recording with more frame values, only the neighbouring frames with the most events between them
-    /// are used, as many as have so many values: a fit takes some 300 bytes for each.
+    /// Most frame values of a fit: of a longer recording the neighbouring frames with the most events are
+    /// used; a fit takes some 300 bytes for each.
     #[schemars(range(min = 1_000))]
     pub most_values: usize,
-    /// What a picture is sharpened over for the control, to find what its fit removes, pixels.
+    /// Radius over which a picture is sharpened for the control, to measure what its fit removes, pixels.
     #[schemars(range(min = 0.0, max = 4.0))]
     pub sharpest: f64,
     /// Distance of coefficients while motion is found, pixels.
@@ -59,7 +59,7 @@ pub struct PictureSetting {
     /// Conjugate gradients of each of the times that the picture is fitted again.
     #[serde(skip)]
     pub again_steps: usize,
-    /// And of a draw of what frames leave open.
+    /// And of a posterior sample.
     #[serde(skip)]
     pub draw_steps: usize,
     /// Is the array's shading fitted?
@@ -86,9 +86,9 @@ impl Default for PictureSetting {
 }
 
 impl PictureSetting {
-    /// How pictures of parts of the array are fitted where the whole is fitted like this.
+    /// Settings for pictures of parts of the array, from those for the whole.
     #[must_use]
-    pub fn of_parts(&self) -> PictureSetting {
+    pub fn for_parts(&self) -> PictureSetting {
         let PictureSetting { pitch, knot, sharpest, .. } = *self;
         PictureSetting {
             pitch,

@@ -25,7 +25,7 @@ pub(crate) fn slopes(f: f64) -> [f64; ORDER] {
 
 /// The picture's coefficients on a plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Grid {
+pub struct SplineGrid {
     /// Place of the first coefficient, pixels from the array's centre.
     pub x0: f64,
     /// See there.
@@ -38,11 +38,11 @@ pub struct Grid {
     pub height: usize,
 }
 
-impl Grid {
+impl SplineGrid {
     /// The grid of `pitch` pixels over a box of places, with one interval to spare on each side.
-    pub fn over(low: (f64, f64), high: (f64, f64), pitch: f64) -> Grid {
+    pub fn covering(low: (f64, f64), high: (f64, f64), pitch: f64) -> SplineGrid {
         let count = |low: f64, high: f64| ((high - low) / pitch).ceil().max(0.0) as usize + ORDER + 2;
-        Grid {
+        SplineGrid {
             x0: low.0 - 2.0 * pitch,
             y0: low.1 - 2.0 * pitch,
             pitch,
@@ -94,8 +94,13 @@ impl Grid {
 
     /// A grid over the same places with `by` coefficients for one.
     #[must_use]
-    pub fn finer(&self, by: usize) -> Grid {
-        Grid { pitch: self.pitch / by as f64, width: self.width * by, height: self.height * by, ..*self }
+    pub fn finer(&self, by: usize) -> SplineGrid {
+        SplineGrid {
+            pitch: self.pitch / by as f64,
+            width: self.width * by,
+            height: self.height * by,
+            ..*self
+        }
     }
 
     /// The gradient of a surface at a place, per pixel; zero outside.
@@ -124,7 +129,7 @@ mod tests {
 
     #[test]
     fn a_line_is_reproduced_and_gradients_are_differences() {
-        let grid = Grid::over((-3.0, -2.0), (4.0, 5.0), 0.7);
+        let grid = SplineGrid::covering((-3.0, -2.0), (4.0, 5.0), 0.7);
         let line: Vec<f32> = (0..grid.coefficients())
             .map(|k| {
                 (2.0 + 0.5 * (grid.x0 + grid.pitch * (k % grid.width) as f64)

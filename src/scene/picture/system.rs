@@ -8,18 +8,18 @@
 //! parts: the same bytes for any number of threads.
 
 use super::motion::DEGREES;
-use super::products::{self, Pull};
-use super::rows::{REST, Rows};
+use super::products::{self, SmoothnessPull};
+use super::rows::{MeasurementRows, REST};
 use super::shading::TERMS;
-use super::spline::{Grid, ORDER};
+use super::spline::{ORDER, SplineGrid};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use photocurrent_core::random::Random;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// What is fitted, or a step of it.
+/// The unknowns of a picture, or a step of them.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Unknowns {
+pub(crate) struct PictureUnknowns {
     /// Coefficients of the picture; behind them, before a still ground, of how much of the ground it hides.
     pub picture: Vec<f32>,
     /// Six numbers for each knot, then the shading's terms.
@@ -43,15 +43,15 @@ pub(crate) struct Smoothness {
     pub motion: f64,
 }
 
-impl Rows {
+impl MeasurementRows {
     /// Residuals of another surface under the same motion and shading.
-    pub(crate) fn look_at(&mut self, grid: &Grid, surface: &[f32]) {
+    pub(crate) fn update_residuals(&mut self, grid: &SplineGrid, surface: &[f32]) {
         let parts: Vec<Vec<f32>> = self
-            .parts()
+            .summing_ranges()
             .into_par_iter()
             .map(|range| {
                 let mut signal = vec![0.0; range.len()];
-                products::along(self, grid.width, surface, range, &mut signal);
+                products::directional_derivatives(self, grid.width, surface, range, &mut signal);
                 signal
             })
             .collect();
@@ -67,22 +67,22 @@ impl Rows {
 }
 
 /// Room for the sums of each part.
-struct Sums {
-    parts: Vec<(Range<usize>, Unknowns)>,
+struct RangeSums {
+    parts: Vec<(Range<usize>, PictureUnknowns)>,
 }
 
-impl Sums {
-    fn new(rows: &Rows, grid: &Grid, knots: usize) -> Sums {
-        let blank = || Unknowns {
+impl RangeSums {
+    fn new(rows: &MeasurementRows, grid: &SplineGrid, knots: usize) -> RangeSums {
+        let blank = || PictureUnknowns {
             picture: vec![0.0; rows.layers() * grid.coefficients()],
             rest: vec![0.0; knots * DEGREES + TERMS],
         };
-        Sums { parts: rows.parts().into_iter().map(|range| (range, blank())).collect() }
+        RangeSums { parts: rows.summing_ranges().into_iter().map(|range| (range, blank())).collect() }
     }
 
     /// `of` for each part, and the sum of all in `out`.
-    fn add_up(&mut self, out: &mut Unknowns, of: impl Fn(Range<usize>, &mut Unknowns) + Sync) {
-        let part = |(range, sum): &mut (Range<usize>, Unknowns)| {
+    fn add_up(&mut self, out: &mut PictureUnknowns, of: impl Fn(Range<usize>, &mut PictureUnknowns) + Sync) {
+        let part = |(range, sum): &mut (Range<usize>, PictureUnknowns)| {
             sum.picture.fill(0.0);
             sum.rest.fill(0.0);
             of(range.clone(), sum);
@@ -103,16 +103,16 @@ impl Sums {
     /// Adds up all rows, each times its factor and, with a step, its derivative along it.
     fn transposed(
         &mut self,
-        rows: &Rows,
-        grid: &Grid,
+        rows: &MeasurementRows,
+        grid: &SplineGrid,
         knots: usize,
         with_rest: bool,
-        step: Option<&Unknowns>,
+        step: Option<&PictureUnknowns>,
         factor: &[f32],
-        out: &mut Unknowns,
+        out: &mut PictureUnknowns,
     ) {
         self.add_up(out, |range, sum| {
-            for (run, rest) in rows.runs(range) {
+            for (run, rest) in rows.same_knot_runs(range) {
                 let rest = if with_rest { rest } else { 0 };
                 let indices = rows.indices(knots, rows.knot[run.start] as usize);
                 let along: [f32; REST] =
@@ -140,7 +140,7 @@ impl Sums {
 }
 
 /// The differences that are held small: indices of the coefficients with their factors, and the weight.
-fn differences(grid: &Grid, smooth: &Smoothness, mut with: impl FnMut([usize; 4], [f32; 4], f32)) {
+fn differences(grid: &SplineGrid, smooth: &Smoothness, mut with: impl FnMut([usize; 4], [f32; 4], f32)) {
     let w = grid.width;
     let layers = smooth.along_x.len() / grid.coefficients().max(1);
     for (layer, j) in (0..layers).flat_map(|layer| (0..grid.height).map(move |j| (layer, j))) {
@@ -168,7 +168,7 @@ fn motion_differences(knots: usize, mut with: impl FnMut(usize, usize, usize)) {
 }
 
 /// Squares of the weighted differences.
-pub(crate) fn roughness(grid: &Grid, smooth: &Smoothness, picture: &[f32]) -> f64 {
+pub(crate) fn roughness(grid: &SplineGrid, smooth: &Smoothness, picture: &[f32]) -> f64 {
     let mut sum = 0.0;
     differences(grid, smooth, |at, by, weight| {
         let value: f32 = at.iter().zip(by).map(|(&at, by)| by * picture[at]).sum();
@@ -181,15 +181,15 @@ pub(crate) fn roughness(grid: &Grid, smooth: &Smoothness, picture: &[f32]) -> f6
 ///
 /// `with_rest`: motion and shading move too. `steps`: conjugate gradients at most.
 pub(crate) fn solve(
-    rows: &Rows,
-    grid: &Grid,
+    rows: &MeasurementRows,
+    grid: &SplineGrid,
     smooth: &Smoothness,
-    now: &Unknowns,
+    now: &PictureUnknowns,
     knots: usize,
     with_rest: bool,
     steps: usize,
-) -> Unknowns {
-    let mut normal = Normal::new(rows, grid, smooth, knots, with_rest);
+) -> PictureUnknowns {
+    let mut normal = NormalOperator::new(rows, grid, smooth, knots, with_rest);
     let mut residual = normal.blank();
     let factor: Vec<f32> =
         normal.squares.iter().zip(&rows.residual).map(|(square, residual)| square * residual).collect();
@@ -200,19 +200,19 @@ pub(crate) fn solve(
     normal.conjugate_gradients(residual, steps)
 }
 
-/// The step of the picture that the residuals alone ask for, from where it stands: what smoothness took away,
-/// given back in part (twicing; Tukey, Exploratory Data Analysis, 1977; Osher et al., Multiscale Modeling and
-/// Simulation 4, 2005). Motion and shading are held. `begin`: where the search for it begins, the step of the
-/// time before; nothing is zero.
-pub(crate) fn again(
-    rows: &Rows,
-    grid: &Grid,
+/// A step of the picture from its residuals without the smoothness term, which restores part of the detail
+/// that smoothness removed (twicing; Tukey, Exploratory Data Analysis, 1977; Osher et al., Multiscale
+/// Modeling and Simulation 4, 2005). Motion and shading are fixed. `begin`: initial value, the step of the
+/// time before; empty is zero.
+pub(crate) fn twicing_step(
+    rows: &MeasurementRows,
+    grid: &SplineGrid,
     smooth: &Smoothness,
     knots: usize,
     steps: usize,
     begin: &[f32],
 ) -> Vec<f32> {
-    let mut normal = Normal::new(rows, grid, smooth, knots, false);
+    let mut normal = NormalOperator::new(rows, grid, smooth, knots, false);
     let mut residual = normal.blank();
     let factor: Vec<f32> =
         normal.squares.iter().zip(&rows.residual).map(|(square, residual)| square * residual).collect();
@@ -234,15 +234,15 @@ pub(crate) fn again(
 ///
 /// By perturbation: random residuals with the noise of each row and random differences with the variance of
 /// each weight, fitted (Papandreou and Yuille, NIPS 2010).
-pub(crate) fn draw(
-    rows: &Rows,
-    grid: &Grid,
+pub(crate) fn posterior_draw(
+    rows: &MeasurementRows,
+    grid: &SplineGrid,
     smooth: &Smoothness,
     knots: usize,
     steps: usize,
     random: &mut Random,
 ) -> Vec<f32> {
-    let mut normal = Normal::new(rows, grid, smooth, knots, false);
+    let mut normal = NormalOperator::new(rows, grid, smooth, knots, false);
     let mut residual = normal.blank();
     let noise: Vec<f32> = rows.weight.iter().map(|weight| weight * random.normal() as f32).collect();
     normal.sums.transposed(rows, grid, knots, false, None, &noise, &mut residual);
@@ -253,48 +253,48 @@ pub(crate) fn draw(
     normal.conjugate_gradients(residual, steps).picture
 }
 
-/// The normal equations, as products with steps.
-struct Normal<'a> {
-    rows: &'a Rows,
-    grid: &'a Grid,
+/// The normal equations as a linear operator.
+struct NormalOperator<'a> {
+    rows: &'a MeasurementRows,
+    grid: &'a SplineGrid,
     smooth: &'a Smoothness,
     knots: usize,
     with_rest: bool,
     /// Squares of the rows' weights.
     squares: Vec<f32>,
-    differences: Pull,
-    sums: Sums,
+    differences: SmoothnessPull,
+    sums: RangeSums,
 }
 
-impl<'a> Normal<'a> {
+impl<'a> NormalOperator<'a> {
     fn new(
-        rows: &'a Rows,
-        grid: &'a Grid,
+        rows: &'a MeasurementRows,
+        grid: &'a SplineGrid,
         smooth: &'a Smoothness,
         knots: usize,
         with_rest: bool,
-    ) -> Normal<'a> {
-        Normal {
+    ) -> NormalOperator<'a> {
+        NormalOperator {
             rows,
             grid,
             smooth,
             knots,
             with_rest,
             squares: rows.weight.iter().map(|weight| weight * weight).collect(),
-            differences: Pull::new(&smooth.along_x, &smooth.along_y, &smooth.across),
-            sums: Sums::new(rows, grid, knots),
+            differences: SmoothnessPull::new(&smooth.along_x, &smooth.along_y, &smooth.across),
+            sums: RangeSums::new(rows, grid, knots),
         }
     }
 
-    fn blank(&self) -> Unknowns {
-        Unknowns {
+    fn blank(&self) -> PictureUnknowns {
+        PictureUnknowns {
             picture: vec![0.0; self.rows.layers() * self.grid.coefficients()],
             rest: vec![0.0; self.knots * DEGREES + TERMS],
         }
     }
 
     /// Adds the pull of smoothness, of the motion's smoothness and of sizes.
-    fn pull(&self, x: &Unknowns, out: &mut Unknowns) {
+    fn pull(&self, x: &PictureUnknowns, out: &mut PictureUnknowns) {
         self.differences.add(self.grid, &x.picture, &mut out.picture);
         motion_differences(self.knots, |a, b, c| {
             let pull = self.smooth.motion * self.smooth.motion * (x.rest[a] - 2.0 * x.rest[b] + x.rest[c]);
@@ -309,7 +309,7 @@ impl<'a> Normal<'a> {
             .for_each(|((out, x), hold)| *out += hold * hold * x);
     }
 
-    fn product(&mut self, x: &Unknowns, out: &mut Unknowns) {
+    fn product(&mut self, x: &PictureUnknowns, out: &mut PictureUnknowns) {
         self.sums.transposed(self.rows, self.grid, self.knots, self.with_rest, Some(x), &self.squares, out);
         self.pull(x, out);
         out.rest
@@ -317,11 +317,11 @@ impl<'a> Normal<'a> {
             .zip(&x.rest)
             .zip(&self.smooth.rest)
             .for_each(|((out, x), hold)| *out += hold * hold * x);
-        self.fix(out);
+        self.zero_fixed(out);
     }
 
-    /// Of what is held, nothing moves.
-    fn fix(&self, x: &mut Unknowns) {
+    /// Sets the steps of fixed unknowns to 0.
+    fn zero_fixed(&self, x: &mut PictureUnknowns) {
         x.rest
             .iter_mut()
             .zip(&self.smooth.rest)
@@ -329,12 +329,12 @@ impl<'a> Normal<'a> {
             .for_each(|(x, _)| *x = 0.0);
     }
 
-    fn conjugate_gradients(&mut self, mut residual: Unknowns, steps: usize) -> Unknowns {
+    fn conjugate_gradients(&mut self, mut residual: PictureUnknowns, steps: usize) -> PictureUnknowns {
         let precondition = Preconditioner::new(self);
-        self.fix(&mut residual);
+        self.zero_fixed(&mut residual);
         let (mut step, mut z, mut product) = (self.blank(), self.blank(), self.blank());
         precondition.apply(&residual, &mut z);
-        self.fix(&mut z);
+        self.zero_fixed(&mut z);
         let mut direction = z.clone();
         let mut size = dot(&residual, &z);
         let begun = size;
@@ -350,7 +350,7 @@ impl<'a> Normal<'a> {
             add(&mut step, share, &direction);
             add(&mut residual, -share, &product);
             precondition.apply(&residual, &mut z);
-            self.fix(&mut z);
+            self.zero_fixed(&mut z);
             let next = dot(&residual, &z);
             let by = next / size;
             direction.picture.iter_mut().zip(&z.picture).for_each(|(d, z)| *d = z + by as f32 * *d);
@@ -367,7 +367,7 @@ struct Preconditioner {
 }
 
 impl Preconditioner {
-    fn new(of: &mut Normal<'_>) -> Preconditioner {
+    fn new(of: &mut NormalOperator<'_>) -> Preconditioner {
         let mut sum = of.blank();
         let (rows, grid, squares) = (of.rows, of.grid, &of.squares);
         of.sums.add_up(&mut sum, |range, sum| {
@@ -382,7 +382,7 @@ impl Preconditioner {
         Preconditioner { picture, rest }
     }
 
-    fn apply(&self, x: &Unknowns, out: &mut Unknowns) {
+    fn apply(&self, x: &PictureUnknowns, out: &mut PictureUnknowns) {
         out.picture.iter_mut().zip(&x.picture).zip(&self.picture).for_each(|((out, x), d)| *out = x * d);
         match &self.rest {
             Some(factor) => {
@@ -394,18 +394,18 @@ impl Preconditioner {
 }
 
 /// The block of the normal equations for motion and shading.
-fn block(of: &Normal<'_>) -> DMatrix<f64> {
-    let Normal { rows, smooth, knots, squares, .. } = of;
+fn block(of: &NormalOperator<'_>) -> DMatrix<f64> {
+    let NormalOperator { rows, smooth, knots, squares, .. } = of;
     let count = knots * DEGREES + TERMS;
     let parts: Vec<DMatrix<f64>> = rows
-        .parts()
+        .summing_ranges()
         .into_par_iter()
         .map(|range| {
             let mut sum = DMatrix::<f64>::zeros(count, count);
-            for (run, rest) in rows.runs(range) {
+            for (run, rest) in rows.same_knot_runs(range) {
                 let indices = rows.indices(*knots, rows.knot[run.start] as usize);
                 let mut of_run = [[0.0_f32; REST]; REST];
-                products::of_rest(rows, run, rest, squares, &mut of_run);
+                products::other_products(rows, run, rest, squares, &mut of_run);
                 for (a, of_run) in indices.iter().zip(&of_run) {
                     for (b, of_both) in indices.iter().zip(of_run) {
                         if let (Some(a), Some(b)) = (*a, *b)
@@ -448,12 +448,12 @@ fn block(of: &Normal<'_>) -> DMatrix<f64> {
     sum
 }
 
-fn dot(a: &Unknowns, b: &Unknowns) -> f64 {
+fn dot(a: &PictureUnknowns, b: &PictureUnknowns) -> f64 {
     products::dot(&a.picture, &b.picture) + a.rest.iter().zip(&b.rest).map(|(a, b)| a * b).sum::<f64>()
 }
 
 /// `x += by * step`.
-pub(crate) fn add(x: &mut Unknowns, by: f64, step: &Unknowns) {
+pub(crate) fn add(x: &mut PictureUnknowns, by: f64, step: &PictureUnknowns) {
     x.picture.iter_mut().zip(&step.picture).for_each(|(x, step)| *x += by as f32 * step);
     x.rest.iter_mut().zip(&step.rest).for_each(|(x, step)| *x += by * step);
 }

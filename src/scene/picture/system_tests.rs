@@ -6,11 +6,11 @@ use nalgebra::DMatrix;
 
 /// Rows that see four by four coefficients of a picture each, at random places, with random weights and
 /// shading. With `has_ground`, before a random ground.
-fn problem(has_ground: bool) -> (Rows, Grid, Smoothness, usize) {
+fn problem(has_ground: bool) -> (MeasurementRows, SplineGrid, Smoothness, usize) {
     let mut random = Random::new(5, &[]);
-    let grid = Grid { x0: 0.0, y0: 0.0, pitch: 1.0, width: 16, height: 6 };
+    let grid = SplineGrid { x0: 0.0, y0: 0.0, pitch: 1.0, width: 16, height: 6 };
     let knots = 7;
-    let mut rows = Rows { first: vec![0], ..Rows::default() };
+    let mut rows = MeasurementRows { first: vec![0], ..MeasurementRows::default() };
     for r in 0..240 {
         let (i, j) = ((random.uniform() * 8.9) as usize, (random.uniform() * 2.9) as usize);
         let stencil: Vec<f32> =
@@ -39,7 +39,12 @@ fn problem(has_ground: bool) -> (Rows, Grid, Smoothness, usize) {
 
 /// The same problem with all its rows written out, of measurements and of what is held small; and its
 /// right side.
-fn written_out(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize) -> (DMatrix<f64>, DVector<f64>) {
+fn written_out(
+    rows: &MeasurementRows,
+    grid: &SplineGrid,
+    smooth: &Smoothness,
+    knots: usize,
+) -> (DMatrix<f64>, DVector<f64>) {
     let (n, rest) = (rows.layers() * grid.coefficients(), knots * DEGREES + TERMS);
     let mut lines: Vec<(DVector<f64>, f64)> = Vec::new();
     for r in 0..rows.count() {
@@ -53,7 +58,7 @@ fn written_out(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize) -> (
             }
         }
         let indices = rows.indices(knots, rows.knot[r] as usize);
-        indices.iter().zip(rows.rest_of(r)).for_each(|(at, a)| {
+        indices.iter().zip(rows.other_derivatives(r)).for_each(|(at, a)| {
             if let Some(at) = at {
                 line[n + at] = f64::from(a);
             }
@@ -93,7 +98,7 @@ fn the_step_is_that_of_all_rows_written_out() {
         let (rows, grid, smooth, knots) = problem(has_ground);
         let (normal, right) = written_out(&rows, &grid, &smooth, knots);
         let exact = normal.cholesky().unwrap().solve(&right);
-        let now = Unknowns {
+        let now = PictureUnknowns {
             picture: vec![0.0; rows.layers() * grid.coefficients()],
             rest: vec![0.0; knots * DEGREES + TERMS],
         };
@@ -119,7 +124,7 @@ fn draws_have_the_covariance_that_is_left_open() {
     const DRAWS: usize = 600;
     let mut squares = vec![0.0; n];
     for _ in 0..DRAWS {
-        let one = draw(&rows, &grid, &smooth, knots, 200, &mut random);
+        let one = posterior_draw(&rows, &grid, &smooth, knots, 200, &mut random);
         squares.iter_mut().zip(&one).for_each(|(sum, c)| *sum += f64::from(c * c) / DRAWS as f64);
     }
     // The mean over coefficients has an error of a percent or two, each of a sixth (three standard
@@ -136,7 +141,7 @@ fn fitting_again_what_is_left_gives_back_what_smoothness_took() {
     let truth: Vec<f32> = (0..grid.coefficients()).map(|_| random.normal() as f32).collect();
     rows.is_saturated = vec![false; rows.count()];
     rows.measured = vec![0.0; rows.count()];
-    rows.look_at(&grid, &truth.iter().map(|c| -c).collect::<Vec<_>>());
+    rows.update_residuals(&grid, &truth.iter().map(|c| -c).collect::<Vec<_>>());
     rows.measured = rows.residual.clone();
     // Of the columns that rows see, which are fewer than the grid has, as stencils are padded: a little
     // more is left than of a grid that is seen whole.
@@ -144,9 +149,9 @@ fn fitting_again_what_is_left_gives_back_what_smoothness_took() {
     let far = |picture: &[f32]| {
         (0..truth.len()).filter(seen).map(|k| (picture[k] - truth[k]) * (picture[k] - truth[k])).sum::<f32>()
     };
-    let first = again(&rows, &grid, &smooth, knots, 200, &[]);
-    rows.look_at(&grid, &first);
+    let first = twicing_step(&rows, &grid, &smooth, knots, 200, &[]);
+    rows.update_residuals(&grid, &first);
     let second: Vec<f32> =
-        again(&rows, &grid, &smooth, knots, 200, &[]).iter().zip(&first).map(|(a, b)| a + b).collect();
+        twicing_step(&rows, &grid, &smooth, knots, 200, &[]).iter().zip(&first).map(|(a, b)| a + b).collect();
     assert!(far(&second) < 0.6 * far(&first), "{} and {}", far(&second), far(&first));
 }

@@ -9,14 +9,14 @@
 
 /// A lower triangle by rows: row `k` holds its columns from `first[k]` to `k`.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Envelope {
+pub(super) struct EnvelopeMatrix {
     first: Vec<usize>,
     /// Where the row's column 0 would be; may lie before the values.
     at: Vec<isize>,
     values: Vec<f64>,
 }
 
-impl Envelope {
+impl EnvelopeMatrix {
     /// All zero; `first`: the first column of each row, at most the row itself.
     pub(super) fn reset(&mut self, first: &[usize]) {
         self.first.clear();
@@ -196,7 +196,7 @@ mod tests {
         rows
     }
 
-    fn both() -> (Envelope, DMatrix<f64>) {
+    fn envelope_and_dense() -> (EnvelopeMatrix, DMatrix<f64>) {
         let (rows, count) = (rows(), 20);
         let mut first: Vec<usize> = (0..count).collect();
         for (from, row) in &rows {
@@ -204,7 +204,7 @@ mod tests {
                 first[from + k] = first[from + k].min(*from);
             }
         }
-        let (mut envelope, mut dense) = (Envelope::default(), DMatrix::zeros(count, count));
+        let (mut envelope, mut dense) = (EnvelopeMatrix::default(), DMatrix::zeros(count, count));
         envelope.reset(&first);
         for (n, (from, row)) in rows.iter().enumerate() {
             let weight = 1.0 + n as f64;
@@ -220,7 +220,7 @@ mod tests {
 
     #[test]
     fn a_factor_solves_what_a_dense_one_solves() {
-        let (mut envelope, dense) = both();
+        let (mut envelope, dense) = envelope_and_dense();
         assert!(envelope.factor());
         let right = DVector::from_fn(20, |k, _| libm::sin(k as f64));
         let expected = dense.cholesky().unwrap().solve(&right);
@@ -232,7 +232,7 @@ mod tests {
 
     #[test]
     fn the_variance_of_a_row_is_that_of_a_dense_inverse() {
-        let (mut envelope, dense) = both();
+        let (mut envelope, dense) = envelope_and_dense();
         assert!(envelope.factor());
         envelope.invert(&mut InverseRoom::default());
         let inverse = dense.try_inverse().unwrap();
@@ -248,7 +248,7 @@ mod tests {
 
     #[test]
     fn what_is_not_positive_definite_is_refused() {
-        let mut envelope = Envelope::default();
+        let mut envelope = EnvelopeMatrix::default();
         envelope.reset(&[0, 0]);
         envelope.add_square(0, &[1.0, -1.0], 1.0);
         assert!(!envelope.factor());

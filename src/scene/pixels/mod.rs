@@ -26,15 +26,15 @@ mod step;
 
 use crate::block::Block;
 use crate::case::Case;
-use crate::free::{FreeScene, Noise, Predicted, Score};
-use crate::light::Light;
+use crate::free::{FreeScene, PixelPrediction, SceneNoise, Score};
+use crate::light::LogLight;
 use crate::nominal::Nominal;
 use crate::statistics::MEDIAN_T;
-use path::Splines;
+use path::TimeSplines;
 use photocurrent_core::time::between;
 use rayon::prelude::*;
 pub use step::LEAST_RISE;
-use step::{OfPixel, Step, Work};
+use step::{PixelStep, PixelView, PixelWork};
 
 /// Standard deviation of second differences before anything is known, natural-log units.
 const FIRST_DEVIATION: f64 = 0.03;
@@ -48,7 +48,7 @@ const ROUNDS_OF_MISSING: usize = 10;
 /// The light of some pixels.
 #[derive(Clone, Debug)]
 pub struct PixelLight {
-    splines: Splines,
+    splines: TimeSplines,
     blocks: Vec<Block>,
     /// Pixels (`y * width + x` of the array), block after block, row by row.
     pixels: Vec<u32>,
@@ -57,29 +57,29 @@ pub struct PixelLight {
     /// Of second differences, likewise.
     variance: Vec<f64>,
     /// Of the measurements.
-    noise: Noise,
+    noise: SceneNoise,
     rounds: usize,
     /// Of the last round: leverages of events, pixel by pixel.
     leverage: Vec<Vec<f64>>,
 }
 
 impl PixelLight {
-    /// Begins with the logarithms of the frame values, straight lines between. `step_ns`: instants of
-    /// predicted light; `per_knot`: so many of them from knot to knot. Blocks do not overlap.
+    /// From the log frame values, linear between. `step_ns`: step of the predicted light; `per_knot`: number
+    /// of steps between knots. Blocks do not overlap.
     ///
     /// # Panics
     /// Without frames, or for blocks outside of the array.
-    pub fn begin(
+    pub fn new(
         case: &Case,
         nominal: &Nominal,
         blocks: Vec<Block>,
         (step_ns, per_knot): (i64, usize),
-        noise: Noise,
+        noise: SceneNoise,
     ) -> PixelLight {
-        let instants = Light::instants(case, step_ns).count();
-        let splines = Splines::new(case.span.0, step_ns, instants, per_knot);
+        let instants = LogLight::instants(case, step_ns).count();
+        let splines = TimeSplines::new(case.span.0, step_ns, instants, per_knot);
         let pixels: Vec<u32> = blocks.iter().flat_map(|block| block.pixels(case.extent)).collect();
-        let begin = |pixel: &u32| of_frames(case, nominal, &splines, *pixel as usize);
+        let begin = |pixel: &u32| coefficients_from_frames(case, nominal, &splines, *pixel as usize);
         let coefficients: Vec<f64> = pixels.par_iter().flat_map_iter(begin).collect();
         let seconds = pixels.len() * (splines.coefficients() - 2);
         PixelLight {
@@ -94,9 +94,9 @@ impl PixelLight {
         }
     }
 
-    fn of<'a>(&'a self, place: usize, predicted: &'a Predicted) -> OfPixel<'a> {
+    fn pixel_view<'a>(&'a self, place: usize, predicted: &'a PixelPrediction) -> PixelView<'a> {
         let count = self.splines.coefficients();
-        OfPixel {
+        PixelView {
             splines: &self.splines,
             coefficients: &self.coefficients[place * count..(place + 1) * count],
             variance: &self.variance[place * (count - 2)..(place + 1) * (count - 2)],
@@ -106,17 +106,18 @@ impl PixelLight {
     }
 
     /// The work on every pixel, in their order; `work` also takes the pixel's place.
-    fn each<T: Send>(
+    fn map_pixels<T: Send>(
         &self,
-        predicted: &[Predicted],
-        work: impl Fn(&mut Work, &OfPixel<'_>, usize) -> T + Sync,
+        predicted: &[PixelPrediction],
+        work: impl Fn(&mut PixelWork, &PixelView<'_>, usize) -> T + Sync,
     ) -> Vec<T> {
-        let of = |room: &mut Work, (place, predicted)| work(room, &self.of(place, predicted), place);
-        predicted.par_iter().enumerate().map_init(Work::default, of).collect()
+        let of =
+            |room: &mut PixelWork, (place, predicted)| work(room, &self.pixel_view(place, predicted), place);
+        predicted.par_iter().enumerate().map_init(PixelWork::default, of).collect()
     }
 
-    fn newton(&mut self, predicted: &[Predicted], is_measured: bool) -> Vec<Option<Step>> {
-        let steps = self.each(predicted, |work, of, _| work.step(of, is_measured));
+    fn newton(&mut self, predicted: &[PixelPrediction], is_measured: bool) -> Vec<Option<PixelStep>> {
+        let steps = self.map_pixels(predicted, |work, of, _| work.step(of, is_measured));
         let of_pixel = self.coefficients.chunks_mut(self.splines.coefficients());
         for (to, step) in of_pixel.zip(&steps) {
             step.iter().for_each(|step| to.copy_from_slice(&step.coefficients));
@@ -130,7 +131,7 @@ impl PixelLight {
         let mut begin = 0;
         for block in &self.blocks {
             let of = begin..begin + block.width * block.height * differences;
-            let sums = prior::Block {
+            let sums = prior::PriorBlock {
                 width: block.width,
                 height: block.height,
                 square: &square[of.clone()],
@@ -150,8 +151,8 @@ impl FreeScene for PixelLight {
         &self.pixels
     }
 
-    fn light(&self, case: &Case) -> Light {
-        let mut light = Light::blank(case, self.splines.step_ns);
+    fn light(&self, case: &Case) -> LogLight {
+        let mut light = LogLight::blank(case, self.splines.step_ns);
         let values: Vec<Vec<f32>> = self
             .coefficients
             .par_chunks(self.splines.coefficients())
@@ -172,11 +173,11 @@ impl FreeScene for PixelLight {
         true
     }
 
-    fn left(&self, _predicted: &[Predicted]) -> f64 {
+    fn median_event_misfit(&self, _predicted: &[PixelPrediction]) -> f64 {
         MEDIAN_T * self.noise.threshold_share
     }
 
-    fn round(&mut self, predicted: &[Predicted]) {
+    fn newton_and_noise(&mut self, predicted: &[PixelPrediction]) {
         let steps = self.newton(predicted, true);
         let (mut square, mut decided) = (Vec::new(), Vec::new());
         let differences = self.splines.coefficients() - 2;
@@ -184,12 +185,12 @@ impl FreeScene for PixelLight {
         self.leverage.clear();
         for (step, predicted) in steps.into_iter().zip(predicted) {
             // A pixel whose equations are singular decides nothing.
-            let step = step.unwrap_or_else(|| Step {
+            let step = step.unwrap_or_else(|| PixelStep {
                 square: vec![0.0; differences],
                 decided: vec![0.0; differences],
                 event_variance: vec![0.0; predicted.events.len()],
                 leverage: vec![0.0; predicted.events.len()],
-                ..Step::default()
+                ..PixelStep::default()
             });
             square.extend(step.square);
             decided.extend(step.decided);
@@ -208,20 +209,30 @@ impl FreeScene for PixelLight {
         self.rounds += 1;
     }
 
-    fn settle(&mut self, predicted: &[Predicted]) {
+    fn newton_step(&mut self, predicted: &[PixelPrediction]) {
         self.newton(predicted, false);
     }
 
-    fn score(&self, predicted: &[Predicted], columns: &[Vec<f32>], effects: usize) -> Vec<Option<Score>> {
-        self.each(predicted, |work, of, place| work.score(of, &columns[place], effects))
+    fn score(
+        &self,
+        predicted: &[PixelPrediction],
+        columns: &[Vec<f32>],
+        effects: usize,
+    ) -> Vec<Option<Score>> {
+        self.map_pixels(predicted, |work, of, place| work.score(of, &columns[place], effects))
     }
 
-    fn gains(&self, predicted: &[Predicted], columns: &[Vec<f32>], sizes: &[f64]) -> Vec<Option<Vec<f64>>> {
-        self.each(predicted, |work, of, place| work.gains(of, &columns[place], sizes))
+    fn gains(
+        &self,
+        predicted: &[PixelPrediction],
+        columns: &[Vec<f32>],
+        sizes: &[f64],
+    ) -> Vec<Option<Vec<f64>>> {
+        self.map_pixels(predicted, |work, of, place| work.gains(of, &columns[place], sizes))
     }
 
-    fn event_gains(&self, with: &[Predicted], without: &[Predicted]) -> Vec<Vec<f64>> {
-        let of = |((with, without), leverages): ((&Predicted, &Predicted), &Vec<f64>)| {
+    fn event_gains(&self, with: &[PixelPrediction], without: &[PixelPrediction]) -> Vec<Vec<f64>> {
+        let of = |((with, without), leverages): ((&PixelPrediction, &PixelPrediction), &Vec<f64>)| {
             self.noise.event_gains(with, without, |k| leverages[k])
         };
         with.iter().zip(without).zip(&self.leverage).map(of).collect()
@@ -231,8 +242,8 @@ impl FreeScene for PixelLight {
     ///
     /// Source: leave-one-out residuals e / (1 - h), h the event's leverage (Cook and Weisberg, Residuals and
     /// Influence in Regression, 1982).
-    fn left_out(&self, predicted: &[Predicted]) -> Vec<f64> {
-        let of = |(predicted, leverages): (&Predicted, &Vec<f64>)| {
+    fn left_out(&self, predicted: &[PixelPrediction]) -> Vec<f64> {
+        let of = |(predicted, leverages): (&PixelPrediction, &Vec<f64>)| {
             self.noise.log_density(predicted, leverages, |_| [0.0; 2], |_| 0.0)
         };
         predicted.iter().zip(&self.leverage).map(of).collect()
@@ -240,9 +251,9 @@ impl FreeScene for PixelLight {
 }
 
 /// Coefficients that follow the frame values of a pixel.
-fn of_frames(case: &Case, nominal: &Nominal, splines: &Splines, pixel: usize) -> Vec<f64> {
+fn coefficients_from_frames(case: &Case, nominal: &Nominal, splines: &TimeSplines, pixel: usize) -> Vec<f64> {
     let frames = case.frames.as_ref().expect("frames are there");
-    let row = case.place(pixel).1;
+    let row = case.pixel_place(pixel).1;
     let known = (0..frames.times.len()).filter_map(|l| {
         let (dn, exposure) = (case.dn(l, pixel), frames.times.exposure(l, row));
         let seconds = (exposure.end.0 - exposure.start.0) as f64 * 1e-9;

@@ -1,23 +1,21 @@
-//! What measurements of one pixel change with its light: rows of their Jacobian by the coefficients of a
-//! spline in time.
+//! The Jacobian of one pixel's measurements by the coefficients of its light, a spline in time.
 //!
-//! Log light is a cubic B-spline that is evaluated at steady instants, a straight line between these. The
-//! voltage follows it through the low-pass (Eqs. 1 to 3) with the time constant of each step's middle; its
-//! derivative is found backwards from an instant until the low-pass has forgotten, with the time constant
-//! held.
+//! Log light is a cubic B-spline that is evaluated at steady instants, linear between these. The voltage
+//! follows it through the low-pass (Eqs. 1 to 3) with the time constant of each step's middle. Its derivative
+//! is computed backwards from an instant until the low-pass has forgotten, with the time constant fixed.
 
 use crate::picture::spline::{ORDER, weights};
 use photocurrent_sensor::elementary::exp;
 use photocurrent_sensor::front_end::FrontEnd;
 
-/// The low-pass has forgotten what counts less than this.
+/// Weight below which a derivative through the low-pass is neglected.
 const FORGOTTEN: f64 = 1e-7;
 /// Shorter time constants are this, seconds.
 const TAU_LEAST_S: f64 = 1e-9;
 
 /// Uniform cubic B-splines of time, at steady instants.
 #[derive(Clone, Debug)]
-pub(super) struct Splines {
+pub(super) struct TimeSplines {
     /// The first instant, ns.
     pub start_ns: i64,
     /// Time between instants, ns.
@@ -28,11 +26,11 @@ pub(super) struct Splines {
     of_phase: Vec<[f64; ORDER]>,
 }
 
-impl Splines {
+impl TimeSplines {
     /// With a knot every `per_knot` instants.
-    pub(super) fn new(start_ns: i64, step_ns: i64, instants: usize, per_knot: usize) -> Splines {
+    pub(super) fn new(start_ns: i64, step_ns: i64, instants: usize, per_knot: usize) -> TimeSplines {
         let of_phase = (0..per_knot).map(|phase| weights(phase as f64 / per_knot as f64)).collect();
-        Splines { start_ns, step_ns, instants, of_phase }
+        TimeSplines { start_ns, step_ns, instants, of_phase }
     }
 
     /// Instants from knot to knot.
@@ -77,7 +75,7 @@ impl Splines {
     }
 
     /// Place of an instant: the number of the step, below the last, and the share of it.
-    fn place(&self, t_ns: i64) -> (usize, f64) {
+    fn knot_place(&self, t_ns: i64) -> (usize, f64) {
         let last = (self.instants - 1) as f64;
         let place = ((t_ns - self.start_ns) as f64 / self.step_ns as f64).clamp(0.0, last);
         let k = (place as usize).min(self.instants - 2);
@@ -87,14 +85,14 @@ impl Splines {
 
 /// Rows of a Jacobian, one after another: each begins at a coefficient.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Rows {
+pub(super) struct JacobianRows {
     /// The first coefficient of each.
     pub from: Vec<usize>,
     start: Vec<usize>,
     values: Vec<f64>,
 }
 
-impl Rows {
+impl JacobianRows {
     pub(super) fn clear(&mut self) {
         self.from.clear();
         self.start.clear();
@@ -122,7 +120,7 @@ impl Rows {
 
 /// The light of one pixel and the low-pass on its way through it.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Path {
+pub(super) struct PixelPath {
     /// Log light at the instants.
     pub log: Vec<f64>,
     light: Vec<f64>,
@@ -134,9 +132,9 @@ pub(super) struct Path {
     by_value: Vec<f64>,
 }
 
-impl Path {
-    /// Takes `log` as the light.
-    pub(super) fn enter(&mut self, splines: &Splines, low_pass: FrontEnd) {
+impl PixelPath {
+    /// Sets `log` as the log light.
+    pub(super) fn set_log_light(&mut self, splines: &TimeSplines, low_pass: FrontEnd) {
         self.low_pass = low_pass;
         self.light.clear();
         self.light.extend(self.log.iter().map(|u| exp(*u)));
@@ -151,10 +149,10 @@ impl Path {
         self.by_value.resize(splines.instants, 0.0);
     }
 
-    /// Adds `sign` times the derivative of the voltage at an instant by the values; gives the first and the
-    /// last value that it has one of.
-    fn voltage(&mut self, splines: &Splines, t_ns: i64, sign: f64) -> (usize, usize) {
-        let (k, share) = splines.place(t_ns);
+    /// Adds `sign` times the derivative of the voltage at an instant by the values; returns the first and the
+    /// last value with a derivative.
+    fn voltage(&mut self, splines: &TimeSplines, t_ns: i64, sign: f64) -> (usize, usize) {
+        let (k, share) = splines.knot_place(t_ns);
         let by = &mut self.by_value;
         let (mut left, mut high) = (sign, k);
         if share > 0.0 {
@@ -181,9 +179,9 @@ impl Path {
     /// The row of the voltage at an instant less that at an earlier one.
     pub(super) fn push_difference(
         &mut self,
-        splines: &Splines,
+        splines: &TimeSplines,
         [t_ns, before_ns]: [i64; 2],
-        rows: &mut Rows,
+        rows: &mut JacobianRows,
     ) {
         let (low, high) = self.voltage(splines, t_ns, 1.0);
         let (low_before, high_before) = self.voltage(splines, before_ns, -1.0);
@@ -196,13 +194,13 @@ impl Path {
     /// The row of a frame value, DN: the light that an exposure collects, times `gain`.
     pub(super) fn push_exposure(
         &mut self,
-        splines: &Splines,
+        splines: &TimeSplines,
         [start_ns, end_ns]: [i64; 2],
         gain: f64,
-        rows: &mut Rows,
+        rows: &mut JacobianRows,
     ) {
         let place = |t_ns: i64| {
-            let (k, share) = splines.place(t_ns);
+            let (k, share) = splines.knot_place(t_ns);
             k as f64 + share
         };
         let (begin, end) = (place(start_ns), place(end_ns));

@@ -1,14 +1,14 @@
-//! How far second differences of light go: a variance for each pixel and knot, by expectation maximisation.
+//! Variances of the light's second differences, one per pixel and knot, by expectation maximisation.
 //!
 //! Source: MacKay, Bayesian interpolation, Neural Computation 4 (1992): the variance is the sum of squares
-//! over the number of parameters that the measurements decide. Both are summed over neighbouring pixels and
-//! knots, so that the variance follows the activity of the scene in space and time.
+//! over the number of parameters that the measurements determine. Both are summed over neighbouring pixels
+//! and knots, so that the variance follows the activity of the scene in space and time.
 
-/// Pixels around that count, to either side.
+/// Number of neighbouring pixels to either side that are included.
 const AROUND: usize = 1;
 /// And knots.
 const BEFORE_AND_AFTER: usize = 1;
-/// A pixel's own mean over all knots counts as much as so many decided differences.
+/// Weight of a pixel's own mean over all knots, in determined differences.
 const OF_PIXEL: f64 = 0.3;
 /// And the mean of all pixels in a pixel's mean.
 const OF_ALL: f64 = 1.0;
@@ -16,19 +16,19 @@ const OF_ALL: f64 = 1.0;
 const LIMITS: (f64, f64) = (1e-8, 1.0);
 
 /// Sums of squares and of decided shares over a block of pixels, [y][x][k].
-pub(super) struct Block<'a> {
+pub(super) struct PriorBlock<'a> {
     pub width: usize,
     pub height: usize,
     pub square: &'a [f64],
     pub decided: &'a [f64],
 }
 
-impl Block<'_> {
+impl PriorBlock<'_> {
     /// The variances, in the order of the squares; `all`: mean variance of all blocks.
     pub(super) fn variances(&self, all: f64) -> Vec<f64> {
         let count = self.square.len() / (self.width * self.height);
-        let square = self.around(self.square, count);
-        let decided = self.around(self.decided, count);
+        let square = self.sum_of_neighbours(self.square, count);
+        let decided = self.sum_of_neighbours(self.decided, count);
         let mut out = Vec::with_capacity(self.square.len());
         for (square, decided) in square.chunks(count).zip(decided.chunks(count)) {
             let total: f64 = square.iter().sum();
@@ -43,7 +43,7 @@ impl Block<'_> {
     }
 
     /// Sums over the pixels around each.
-    fn around(&self, values: &[f64], count: usize) -> Vec<f64> {
+    fn sum_of_neighbours(&self, values: &[f64], count: usize) -> Vec<f64> {
         let mut out = vec![0.0; values.len()];
         for y in 0..self.height {
             for x in 0..self.width {

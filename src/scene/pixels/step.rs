@@ -1,9 +1,8 @@
-//! One pixel: a Newton step of its light, and what its measurements score for effects when the light may
-//! change with them.
+//! One pixel: a Newton step of its light, and the score of effects with its light adapted.
 
-use super::envelope::{Envelope, InverseRoom, dot};
-use super::path::{Path, Rows, Splines};
-use crate::free::{Noise, Predicted, Score};
+use super::envelope::{EnvelopeMatrix, InverseRoom, dot};
+use super::path::{JacobianRows, PixelPath, TimeSplines};
+use crate::free::{PixelPrediction, SceneNoise, Score};
 use crate::picture::ROBUST;
 use crate::statistics::NU;
 
@@ -14,9 +13,9 @@ const LONGEST_STEP: f64 = 0.6;
 /// Added to every diagonal element: natural-log units to the power of -2.
 const RIDGE: f64 = 1e-6;
 
-/// What a step of one pixel gives.
+/// Result of a step of one pixel.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Step {
+pub(super) struct PixelStep {
     /// The new coefficients.
     pub coefficients: Vec<f64>,
     /// Squares of their second differences.
@@ -31,38 +30,38 @@ pub(super) struct Step {
 
 /// Room for the work on one pixel after another.
 #[derive(Default)]
-pub(super) struct Work {
-    path: Path,
-    frames: Rows,
-    events: Rows,
-    rises: Rows,
-    quiet: Rows,
+pub(super) struct PixelWork {
+    path: PixelPath,
+    frames: JacobianRows,
+    events: JacobianRows,
+    rises: JacobianRows,
+    quiet: JacobianRows,
     weight: Vec<f64>,
     rise: Vec<f64>,
     /// Of instants without an event: weight and residual.
     quiet_terms: Vec<(f64, f64)>,
     first: Vec<usize>,
-    envelope: Envelope,
+    envelope: EnvelopeMatrix,
     gradient: Vec<f64>,
     inverse: InverseRoom,
 }
 
-/// Light of a pixel as it stands: coefficients, and variances of their second differences.
+/// Present light of a pixel: coefficients, and variances of their second differences.
 #[derive(Clone, Copy)]
-pub(super) struct OfPixel<'a> {
-    pub splines: &'a Splines,
+pub(super) struct PixelView<'a> {
+    pub splines: &'a TimeSplines,
     pub coefficients: &'a [f64],
     pub variance: &'a [f64],
-    pub noise: &'a Noise,
-    pub predicted: &'a Predicted,
+    pub noise: &'a SceneNoise,
+    pub predicted: &'a PixelPrediction,
 }
 
-impl Work {
+impl PixelWork {
     /// Rows, weights, gradient and the factor of the normal equations.
-    fn enter(&mut self, of: &OfPixel<'_>) -> bool {
-        let OfPixel { splines, coefficients, predicted, .. } = *of;
+    fn assemble_equations(&mut self, of: &PixelView<'_>) -> bool {
+        let PixelView { splines, coefficients, predicted, .. } = *of;
         splines.values(coefficients, &mut self.path.log);
-        self.path.enter(splines, predicted.low_pass);
+        self.path.set_log_light(splines, predicted.low_pass);
         for rows in [&mut self.frames, &mut self.events, &mut self.rises, &mut self.quiet] {
             rows.clear();
         }
@@ -87,8 +86,8 @@ impl Work {
     }
 
     /// Weights of frame values, then of events; the rise of the voltage before each event.
-    fn weigh(&mut self, of: &OfPixel<'_>) {
-        let OfPixel { coefficients, noise, predicted, .. } = *of;
+    fn weigh(&mut self, of: &PixelView<'_>) {
+        let PixelView { coefficients, noise, predicted, .. } = *of;
         self.weight.clear();
         self.weight.extend(predicted.frames.iter().map(|frame| {
             let variance = noise.frame_variance(frame.signal_dn);
@@ -112,8 +111,8 @@ impl Work {
         }
     }
 
-    fn assemble(&mut self, of: &OfPixel<'_>) {
-        let OfPixel { coefficients, variance, predicted, .. } = *of;
+    fn assemble(&mut self, of: &PixelView<'_>) {
+        let PixelView { coefficients, variance, predicted, .. } = *of;
         let count = coefficients.len();
         self.first.clear();
         // Second differences reach two unknowns back.
@@ -161,10 +160,10 @@ impl Work {
 
     /// All rows in the order of an effect's column: the first coefficient, derivatives, weight and residual.
     #[cfg(test)]
-    pub(super) fn rows(&mut self, of: &OfPixel<'_>) -> Vec<(usize, Vec<f64>, f64, f64)> {
-        assert!(self.enter(of), "the equations can be solved");
+    pub(super) fn rows(&mut self, of: &PixelView<'_>) -> Vec<(usize, Vec<f64>, f64, f64)> {
+        assert!(self.assemble_equations(of), "the equations can be solved");
         let of = |r: usize| {
-            let Measured { from, row, weight, residual, is_rise } = self.measured(of, r);
+            let PixelMeasurement { from, row, weight, residual, is_rise } = self.measured(of, r);
             if is_rise {
                 return (from, row.iter().map(|v| v * weight).collect(), 1.0, residual);
             }
@@ -175,11 +174,11 @@ impl Work {
 
     /// A Newton step; none where the normal equations are singular. Variances are computed where
     /// `is_measured`, and empty otherwise.
-    pub(super) fn step(&mut self, of: &OfPixel<'_>, is_measured: bool) -> Option<Step> {
-        if !self.enter(of) {
+    pub(super) fn step(&mut self, of: &PixelView<'_>, is_measured: bool) -> Option<PixelStep> {
+        if !self.assemble_equations(of) {
             return None;
         }
-        let mut step = Step { coefficients: of.coefficients.to_vec(), ..Step::default() };
+        let mut step = PixelStep { coefficients: of.coefficients.to_vec(), ..PixelStep::default() };
         let mut by = self.gradient.clone();
         self.envelope.forward(&mut by, 0);
         self.envelope.backward(&mut by);
@@ -208,11 +207,11 @@ impl Work {
         self.weight[self.frames.len()..].iter().enumerate().map(left).unzip()
     }
 
-    /// Score of effects; `columns`: what each changes of frame values, of events' excesses and of the
-    /// logarithms of the rises before events, and of excesses where none fired, K for each. None where the
-    /// normal equations are singular.
-    pub(super) fn score(&mut self, of: &OfPixel<'_>, columns: &[f32], effects: usize) -> Option<Score> {
-        if !self.enter(of) {
+    /// Score of effects; `columns`: the change by each of frame values, of events' excesses and of log slopes
+    /// at events, and of excesses at instants without one, K for each. `None` where the normal equations are
+    /// singular.
+    pub(super) fn score(&mut self, of: &PixelView<'_>, columns: &[f32], effects: usize) -> Option<Score> {
+        if !self.assemble_equations(of) {
             return None;
         }
         let count = self.envelope.len();
@@ -225,7 +224,7 @@ impl Work {
             known: vec![0.0; effects],
         };
         for r in 0..self.measurements() {
-            let Measured { from, row, weight, residual, is_rise } = self.measured(of, r);
+            let PixelMeasurement { from, row, weight, residual, is_rise } = self.measured(of, r);
             for (k, column) in columns[r * effects..(r + 1) * effects].iter().enumerate() {
                 let by = f64::from(*column);
                 if by == 0.0 {
@@ -254,18 +253,18 @@ impl Work {
         }
         Some(found)
     }
-    /// What effects of a size each gain in the densities of the events' times when the light is estimated
-    /// from everything else, and of none between them, nats: with one Newton step of the light, as in
-    /// [`Work::score`], and leverages as they are. None where the normal equations are singular.
-    pub(super) fn gains(&mut self, of: &OfPixel<'_>, columns: &[f32], sizes: &[f64]) -> Option<Vec<f64>> {
-        if !self.enter(of) {
+    /// Gain of effects of given sizes in the densities of event times, with the light estimated from
+    /// everything else, and of none between them, nats: with one Newton step of the light, as in
+    /// [`PixelWork::score`], and leverages as they are. `None` where the normal equations are singular.
+    pub(super) fn gains(&mut self, of: &PixelView<'_>, columns: &[f32], sizes: &[f64]) -> Option<Vec<f64>> {
+        if !self.assemble_equations(of) {
             return None;
         }
         let (effects, frames, events) = (sizes.len(), self.frames.len(), self.events.len());
         // Behind the effects the light without one.
         let mut steps = vec![self.gradient.clone(); effects + 1];
         for r in 0..self.measurements() {
-            let Measured { from, row, weight, .. } = self.measured(of, r);
+            let PixelMeasurement { from, row, weight, .. } = self.measured(of, r);
             for (k, size) in sizes.iter().enumerate() {
                 let scale = f64::from(columns[r * effects + k]) * size * weight;
                 if scale != 0.0 {
@@ -283,7 +282,7 @@ impl Work {
         let density = |k: usize| {
             let size = sizes.get(k).copied().unwrap_or(0.0);
             let moved = |r: usize| {
-                let Measured { from, row, weight, is_rise, .. } = self.measured(of, r);
+                let PixelMeasurement { from, row, weight, is_rise, .. } = self.measured(of, r);
                 let by = if k < effects { f64::from(columns[r * effects + k]) * size } else { 0.0 };
                 let of_light = dot(row, &steps[k][from..from + row.len()]);
                 by - if is_rise { weight * of_light } else { of_light }
@@ -301,7 +300,7 @@ impl Work {
     }
 
     /// One of them, in that order.
-    fn measured(&self, of: &OfPixel<'_>, r: usize) -> Measured<'_> {
+    fn measured(&self, of: &PixelView<'_>, r: usize) -> PixelMeasurement<'_> {
         let (frames, events) = (self.frames.len(), self.events.len());
         let (rows, k, weight, residual) = match r.checked_sub(frames) {
             None => (&self.frames, r, self.weight[r], of.predicted.frames[r].residual_dn),
@@ -313,13 +312,13 @@ impl Work {
             }
         };
         let is_rise = (frames + events..frames + 2 * events).contains(&r);
-        Measured { from: rows.from[k], row: rows.row(k), weight, residual, is_rise }
+        PixelMeasurement { from: rows.from[k], row: rows.row(k), weight, residual, is_rise }
     }
 }
 
 /// A measurement of a pixel: its row begins at coefficient `from`. Of a rise's logarithm the row is that of
 /// the rise, and the weight one over it.
-struct Measured<'a> {
+struct PixelMeasurement<'a> {
     from: usize,
     row: &'a [f64],
     weight: f64,

@@ -1,6 +1,6 @@
 //! Rows against numerical derivatives, scores against the whole problem, light and noise against the truth.
 
-use super::path::{Path, Rows};
+use super::path::{JacobianRows, PixelPath};
 use super::*;
 use crate::free::{PredictedEvent, frame_noise};
 use crate::testing::{self, predicted};
@@ -11,12 +11,12 @@ use photocurrent_sensor::front_end::FrontEnd;
 
 const STEP_NS: i64 = 100_000;
 
-fn splines() -> Splines {
-    Splines::new(0, STEP_NS, 301, 10)
+fn splines() -> TimeSplines {
+    TimeSplines::new(0, STEP_NS, 301, 10)
 }
 
 /// Coefficients of light that rises and falls.
-fn coefficients(splines: &Splines) -> Vec<f64> {
+fn coefficients(splines: &TimeSplines) -> Vec<f64> {
     (0..splines.coefficients()).map(|k| 4.0 + 0.5 * libm::sin(0.7 * k as f64)).collect()
 }
 
@@ -41,10 +41,10 @@ fn voltage(log: &[f64], low_pass: FrontEnd, t_ns: i64) -> f64 {
 fn a_voltages_row_times_the_coefficients_is_the_voltage() {
     let (splines, low_pass) = (splines(), FrontEnd { tau_0_s: 30e-6, alpha_s: 0.02 });
     let c = coefficients(&splines);
-    let mut path = Path::default();
+    let mut path = PixelPath::default();
     splines.values(&c, &mut path.log);
-    path.enter(&splines, low_pass);
-    let mut rows = Rows::default();
+    path.set_log_light(&splines, low_pass);
+    let mut rows = JacobianRows::default();
     let instants = [[12_345_600, 9_876_600], [20_000_000, 2_000_000], [29_999_000, 29_912_000]];
     instants.iter().for_each(|pair| path.push_difference(&splines, *pair, &mut rows));
     for (r, [t, before]) in instants.into_iter().enumerate() {
@@ -75,10 +75,10 @@ fn rows_are_numerical_derivatives() {
             1000.0 * track.collected_in(exposure),
         )
     };
-    let mut path = Path::default();
+    let mut path = PixelPath::default();
     splines.values(&c, &mut path.log);
-    path.enter(&splines, low_pass);
-    let mut rows = Rows::default();
+    path.set_log_light(&splines, low_pass);
+    let mut rows = JacobianRows::default();
     path.push_difference(&splines, event, &mut rows);
     path.push_exposure(&splines, exposure, 1000.0, &mut rows);
     for k in 0..c.len() {
@@ -106,12 +106,12 @@ fn light_is_estimated_from_frames_and_events_together() {
     // The recording is of an ideal front end, compared every 0.1 ms: thresholds are passed by up to a step.
     nominal.pixel.front_end = FrontEnd::IDEAL;
     let block = Block { x: 1, y: 1, width: 8, height: 6 };
-    let mut light = PixelLight::begin(&case, &nominal, vec![block], (STEP_NS, 10), Noise::new((0.0, 0.0)));
+    let mut light = PixelLight::new(&case, &nominal, vec![block], (STEP_NS, 10), SceneNoise::new((0.0, 0.0)));
     let off = |light: &PixelLight| {
         let found = light.light(&case);
         let (mut sum, mut count) = (0.0, 0.0);
         for &pixel in light.pixels() {
-            let (x, y) = case.place(pixel as usize);
+            let (x, y) = case.pixel_place(pixel as usize);
             for t_ns in (8_000_000..40_000_000).step_by(1_000_000) {
                 let truth = testing::log_light(x.into(), y.into(), t_ns);
                 sum += (found.at(pixel as usize, t_ns).unwrap() - truth).abs();
@@ -123,7 +123,7 @@ fn light_is_estimated_from_frames_and_events_together() {
     let begin = off(&light);
     for _ in 0..9 {
         let now = predicted(&case, &nominal, light.pixels(), &light.light(&case));
-        light.round(&now);
+        light.newton_and_noise(&now);
     }
     let end = off(&light);
     // Thresholds of 0.2 are passed by up to a step's rise, some 0.003 at 60 pixels a second:
@@ -132,15 +132,15 @@ fn light_is_estimated_from_frames_and_events_together() {
 }
 
 /// The light of one pixel after some rounds, what is predicted on it, and what two effects change a little.
-fn one_pixel() -> (PixelLight, Vec<Predicted>, Vec<f32>) {
+fn one_pixel() -> (PixelLight, Vec<PixelPrediction>, Vec<f32>) {
     let case = testing::texture(Extent { width: 6, height: 5 }, 6);
     let mut nominal = case.nominal().unwrap();
     nominal.pixel.front_end = FrontEnd { tau_0_s: 200e-6, alpha_s: 0.0 };
     let block = Block { x: 2, y: 2, width: 1, height: 1 };
-    let mut light = PixelLight::begin(&case, &nominal, vec![block], (STEP_NS, 10), Noise::new((4.0, 0.1)));
+    let mut light = PixelLight::new(&case, &nominal, vec![block], (STEP_NS, 10), SceneNoise::new((4.0, 0.1)));
     for _ in 0..4 {
         let now = predicted(&case, &nominal, light.pixels(), &light.light(&case));
-        light.round(&now);
+        light.newton_and_noise(&now);
     }
     let now = predicted(&case, &nominal, light.pixels(), &light.light(&case));
     let (frames, events, quiet) = (now[0].frames.len(), now[0].events.len(), now[0].quiet.len());
@@ -154,14 +154,14 @@ type DenseRow = (DVector<f64>, f64, f64);
 
 /// All measurements of a pixel as dense rows with weights and residuals, and with the prior the normal matrix
 /// and the gradient of its light.
-fn dense(light: &PixelLight, now: &Predicted) -> (Vec<DenseRow>, DMatrix<f64>, DVector<f64>) {
+fn dense(light: &PixelLight, now: &PixelPrediction) -> (Vec<DenseRow>, DMatrix<f64>, DVector<f64>) {
     let count = light.splines.coefficients();
     let whole = |(from, row, weight, residual): (usize, Vec<f64>, f64, f64)| {
         let mut whole = DVector::zeros(count);
         row.iter().enumerate().for_each(|(k, v)| whole[from + k] = *v);
         (whole, weight, residual)
     };
-    let rows: Vec<_> = Work::default().rows(&light.of(0, now)).into_iter().map(whole).collect();
+    let rows: Vec<_> = PixelWork::default().rows(&light.pixel_view(0, now)).into_iter().map(whole).collect();
     let second = |k: usize| {
         let mut second = DVector::zeros(count);
         (second[k], second[k + 1], second[k + 2]) = (1.0, -2.0, 1.0);
@@ -254,7 +254,7 @@ fn a_gain_is_that_of_the_measurements_when_the_light_follows_an_effect() {
 
 #[test]
 fn no_event_counts_as_the_probability_of_none() {
-    let noise = Noise::new((0.0, 0.0));
+    let noise = SceneNoise::new((0.0, 0.0));
     let event = |z: f64, polarity: f64| {
         let blank = PredictedEvent { threshold: 0.2, polarity, ..PredictedEvent::default() };
         let deviation = noise.event_variance(&blank).sqrt();
@@ -290,12 +290,12 @@ fn no_event_counts_as_the_probability_of_none() {
 #[test]
 fn instants_far_beyond_a_threshold_make_an_event_that_is_missing_less_of_a_surprise() {
     // Three of ten at five standard deviations, the others where no event is due.
-    let mut noise = Noise::new((0.0, 0.0));
+    let mut noise = SceneNoise::new((0.0, 0.0));
     let blank = PredictedEvent { threshold: 0.2, polarity: -1.0, ..PredictedEvent::default() };
     let at = |z: f64| PredictedEvent { excess: -z * noise.event_variance(&blank).sqrt(), ..blank };
     let (far, near) = (at(5.0), at(1.0));
     let quiet = (0..10).map(|n| if n < 3 { far } else { near }).collect();
-    let predicted = [Predicted { quiet, ..Predicted::default() }];
+    let predicted = [PixelPrediction { quiet, ..PixelPrediction::default() }];
     let before = noise.quiet_term(&far).log_probability;
     noise.estimate_of_quiet(&predicted);
     assert!((noise.missing - 0.3).abs() < 1e-12);
@@ -305,7 +305,7 @@ fn instants_far_beyond_a_threshold_make_an_event_that_is_missing_less_of_a_surpr
     assert!((noise.quiet_term(&near).log_probability - one).abs() < 1e-5);
     // None far, and no instant at all: a loss in a thousand.
     for quiet in [vec![near], Vec::new()] {
-        noise.estimate_of_quiet(&[Predicted { quiet, ..Predicted::default() }]);
+        noise.estimate_of_quiet(&[PixelPrediction { quiet, ..PixelPrediction::default() }]);
         assert!((noise.missing - 1e-3).abs() < 1e-12);
     }
 }
@@ -322,7 +322,7 @@ fn events_are_no_more_probable_on_a_scene_of_less_contrast() {
             polarity: 1.0,
             ..PredictedEvent::default()
         };
-        Noise::new((0.0, 0.0)).log_density_left_out(&event, 0.3)
+        SceneNoise::new((0.0, 0.0)).log_density_left_out(&event, 0.3)
     };
     assert!((light(1.0) - light(0.1)).abs() < 1e-12);
 }

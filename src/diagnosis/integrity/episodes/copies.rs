@@ -1,7 +1,7 @@
-//! Packets that are handed on twice: for a while events of one pixel, stamp and sign come more than once.
+//! Packets that are transmitted twice: events of one pixel, stamp and sign are repeated for a while.
 
 use super::{Episode, Failure, LONGEST, stretch};
-use crate::integrity::array::Stamped;
+use crate::integrity::array::StampedEvent;
 use photocurrent_scene::case::Case;
 
 /// Share of the events that are copies within the failure, and at other times.
@@ -11,7 +11,7 @@ const OTHERWISE: f64 = 0.002;
 const NATS: f64 = 100.0;
 
 /// The stretch of events with copies that is the least probable without a failure.
-pub(super) fn copies(case: &Case, stream: &[Stamped]) -> Option<Episode> {
+pub(super) fn copies(case: &Case, stream: &[StampedEvent]) -> Option<Episode> {
     let (start, end) = (stream.first()?.t_ns, stream.last()?.t_ns);
     // Events of one stamp are in the order of their pixels.
     let is_copy = |k: usize| k > 0 && stream[k] == stream[k - 1];
@@ -36,6 +36,6 @@ pub(super) fn copies(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     );
     let width = case.extent.width;
     let (rows, columns) = (ends(&|pixel| pixel / width), ends(&|pixel| pixel % width));
-    let whole = Episode::everywhere(case, Failure::Copies, time_ns, nats / NATS, seen);
+    let whole = Episode::on_whole_array(case, Failure::Copies, time_ns, nats / NATS, seen);
     Some(Episode { rows, columns, ..whole })
 }

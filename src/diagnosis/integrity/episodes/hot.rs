@@ -1,16 +1,16 @@
-//! Pixels that fire by themselves for a while: far more often than those around them, at nearly even
-//! intervals or with one sign.
+//! Temporarily hot pixels: they fire far more often than their neighbours, at nearly even intervals or with
+//! one sign.
 
 use super::{Episode, Failure, LONGEST};
 use photocurrent_scene::case::{Case, PixelEvent};
 use photocurrent_scene::statistics::median;
 
-/// So many events in a row.
+/// Least number of events in a burst.
 const FEWEST: usize = 30;
-/// An interval is of the row while it is at most so many times the median one.
+/// Longest interval within a burst, in median intervals.
 const LONGER: f64 = 3.0;
-/// So many times as often as the pixels around; or so many more of one sign, which no light is left for, and
-/// at most this share of them around.
+/// Least ratio to the rate of the pixels around; or to the rate of the other sign, where at most this share
+/// of them fires.
 const TIMES: f64 = 20.0;
 const CLIMBS: f64 = 20.0;
 const AROUND: f64 = 0.25;
@@ -24,24 +24,25 @@ const TOGETHER_NS: i64 = 5_000_000;
 /// Shorter is a moving edge, ns.
 const SHORTEST_NS: i64 = 5_000_000;
 
-/// A row of events of one pixel.
-struct Row {
+/// Consecutive events of one pixel.
+struct EventBurst {
     pixel: u32,
     from: i64,
     to: i64,
-    /// Over what counts.
+    /// Statistic over its threshold.
     statistic: f64,
     hz: f64,
 }
 
 /// Episodes of pixels.
-pub(in super::super) fn hot(case: &Case) -> Vec<Episode> {
+pub(in super::super) fn hot_pixel_episodes(case: &Case) -> Vec<Episode> {
     let span = case.span.1 - case.span.0;
-    let mut rows: Vec<Row> = (0..case.extent.pixels()).filter_map(|pixel| row(case, pixel, span)).collect();
+    let mut rows: Vec<EventBurst> =
+        (0..case.extent.pixels()).filter_map(|pixel| row(case, pixel, span)).collect();
     rows.sort_by_key(|row| (row.from, row.pixel));
-    let mut groups: Vec<Vec<Row>> = Vec::new();
+    let mut groups: Vec<Vec<EventBurst>> = Vec::new();
     for row in rows {
-        let is_of = |group: &&mut Vec<Row>| {
+        let is_of = |group: &&mut Vec<EventBurst>| {
             let first = &group[0];
             (row.from - first.from).abs() <= TOGETHER_NS && (row.to - first.to).abs() <= TOGETHER_NS
         };
@@ -54,8 +55,8 @@ pub(in super::super) fn hot(case: &Case) -> Vec<Episode> {
 }
 
 /// The longest row of events of a pixel that the light cannot make.
-fn row(case: &Case, pixel: usize, span: i64) -> Option<Row> {
-    let events = case.events.of(pixel);
+fn row(case: &Case, pixel: usize, span: i64) -> Option<EventBurst> {
+    let events = case.events.of_pixel(pixel);
     if events.len() < FEWEST {
         return None;
     }
@@ -95,37 +96,37 @@ fn row(case: &Case, pixel: usize, span: i64) -> Option<Row> {
         .flat_map(|row| (x.saturating_sub(1)..(x + 2).min(width)).map(move |column| row * width + column))
         .filter(|&other| other != pixel)
         .map(|other| {
-            let events = case.events.of(other);
+            let events = case.events.of_pixel(other);
             let before = |t: i64| events.partition_point(|event| event.t_off_ns < t);
             let during = &events[before(begin)..before(end + 1)];
-            (during.len() as f64, net(during))
+            (during.len() as f64, polarity_imbalance(during))
         })
         .unzip();
     let times = of_row.len() as f64 / (median(&mut around) + 1.0);
-    let climb = net(of_row) / CLIMBS;
+    let climb = polarity_imbalance(of_row) / CLIMBS;
     let hz = (of_row.len() - 1) as f64 / seconds;
     let is_hot = times >= TIMES || climb >= 1.0 && median(&mut climbs) <= AROUND * CLIMBS * climb;
     let statistic = f64::max(times / TIMES, climb);
-    is_hot.then_some(Row { pixel: pixel as u32, from: begin, to: end, statistic, hz })
+    is_hot.then_some(EventBurst { pixel: pixel as u32, from: begin, to: end, statistic, hz })
 }
 
-/// By how many events one sign has more than the other.
-fn net(events: &[PixelEvent]) -> f64 {
+/// Absolute difference of the numbers of ON and OFF events.
+fn polarity_imbalance(events: &[PixelEvent]) -> f64 {
     events.iter().map(|event| f64::from(event.polarity)).sum::<f64>().abs()
 }
 
-fn episode(case: &Case, group: &[Row]) -> Episode {
+fn episode(case: &Case, group: &[EventBurst]) -> Episode {
     let mut pixels: Vec<u32> = group.iter().map(|row| row.pixel).collect();
     pixels.sort_unstable();
     let ends = |value: fn(&(u32, u32)) -> u32| {
-        let all = pixels.iter().map(|&pixel| value(&case.place(pixel as usize)));
+        let all = pixels.iter().map(|&pixel| value(&case.pixel_place(pixel as usize)));
         [all.clone().min().unwrap_or(0), all.max().unwrap_or(0)]
     };
     let (rows, columns) = (ends(|place| place.1), ends(|place| place.0));
     let mut hz: Vec<f64> = group.iter().map(|row| row.hz).collect();
     let mut statistics: Vec<f64> = group.iter().map(|row| row.statistic).collect();
     // A row may go on with events of the pixel's own light.
-    let middle = |value: fn(&Row) -> i64| {
+    let middle = |value: fn(&EventBurst) -> i64| {
         let mut all: Vec<i64> = group.iter().map(value).collect();
         all.sort_unstable();
         all[all.len() / 2]

@@ -1,52 +1,51 @@
-//! A rectangle of the array that is silent for a while, between two instants at which all of it falls silent
-//! and fires again.
+//! A rectangle of the array without events for a while, between two instants common to all of it.
 
 use super::{Episode, Failure, LONGEST, cell_side};
-use crate::integrity::array::Stamped;
+use crate::integrity::array::StampedEvent;
 use photocurrent_scene::case::Case;
 
-/// So many events would have come in a cell's gap.
+/// Least number of events expected in a cell's gap.
 const EXPECTED: f64 = 12.0;
 /// Gaps of cells are one where they share this much of the longer one.
 const SHARED: f64 = 0.8;
-/// So many cells, and of their rectangle this share.
+/// Least number of cells, and their least share of the rectangle.
 const FEWEST: usize = 4;
 const FILLED: f64 = 0.8;
 /// Cells outside go on firing at this share of their rate, and this share of them does.
 const GOES_ON: f64 = 0.3;
 const OUTSIDE: f64 = 0.7;
-/// Within this share of the gap before it begins and behind its end the rectangle fires with this share
-/// of its rate, where so many events are expected there.
+/// Just before and after the gap, within this share of it, the rectangle fires with this share of its rate,
+/// where that many events are expected.
 const EDGE: f64 = 0.1;
 const STANDS: f64 = 0.4;
 const EDGE_EVENTS: f64 = 20.0;
-/// Rows and columns are silent without this part of the gap at each end, or this long, ns.
+/// Rows and columns are without events but for this part of the gap at each end, or this long, ns.
 const RIM: i64 = 20;
 const RIM_NS: i64 = 2_000_000;
 
 /// A cell's longest gap.
 #[derive(Clone, Copy)]
-struct Gap {
+struct LongestGap {
     from: i64,
     to: i64,
     /// Events a nanosecond at other times.
     rate: f64,
 }
 
-impl Gap {
+impl LongestGap {
     fn expected(&self) -> f64 {
         self.rate * (self.to - self.from) as f64
     }
 
     /// Shared time over the longer one's.
-    fn shares(&self, other: &Gap) -> f64 {
+    fn shares(&self, other: &LongestGap) -> f64 {
         let shared = self.to.min(other.to) - self.from.max(other.from);
         shared.max(0) as f64 / i64::max(self.to - self.from, other.to - other.from).max(1) as f64
     }
 }
 
 /// The rectangle whose gap is the least probable.
-pub(super) fn lost(case: &Case, stream: &[Stamped]) -> Option<Episode> {
+pub(super) fn lost(case: &Case, stream: &[StampedEvent]) -> Option<Episode> {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let side = cell_side(case);
     let across = width.div_ceil(side);
@@ -54,7 +53,7 @@ pub(super) fn lost(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     let cell = |pixel: u32| (pixel as usize / width / side) * across + pixel as usize % width / side;
     stream.iter().for_each(|event| times[cell(event.pixel)].push(event.t_ns));
     let span = (stream.first()?.t_ns, stream.last()?.t_ns);
-    let gaps: Vec<Option<Gap>> = times.iter().map(|times| gap(times, span)).collect();
+    let gaps: Vec<Option<LongestGap>> = times.iter().map(|times| gap(times, span)).collect();
     let anchor = gaps.iter().flatten().max_by(|a, b| a.expected().total_cmp(&b.expected()))?;
     let is_member = |cell: usize| gaps[cell].is_some_and(|one| one.shares(anchor) >= SHARED);
     let members: Vec<usize> = (0..gaps.len()).filter(|&cell| is_member(cell)).collect();
@@ -125,20 +124,20 @@ pub(super) fn lost(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     })
 }
 
-/// The longest stretch of a cell without an event; none where too few would have come in it.
-fn gap(times: &[i64], span: (i64, i64)) -> Option<Gap> {
+/// The longest gap of a cell; `None` where too few events were expected in it.
+fn gap(times: &[i64], span: (i64, i64)) -> Option<LongestGap> {
     let ends =
         std::iter::once(span.0).chain(times.iter().copied()).zip(times.iter().copied().chain([span.1]));
     let (from, to) = ends.max_by_key(|(from, to)| to - from)?;
     let rest = (span.1 - span.0 - (to - from)).max(1) as f64;
-    let found = Gap { from, to, rate: times.len() as f64 / rest };
+    let found = LongestGap { from, to, rate: times.len() as f64 / rest };
     (found.expected() >= EXPECTED).then_some(found)
 }
 
-/// Rows and columns that are silent: from the cells on outwards, up to where events come.
+/// Rows and columns without events: from the cells outwards, up to the first with events.
 fn edges(
     case: &Case,
-    stream: &[Stamped],
+    stream: &[StampedEvent],
     (begins, ends): (i64, i64),
     ([left, right, top, bottom], side): ([usize; 4], usize),
 ) -> [[u32; 2]; 2] {

@@ -1,16 +1,16 @@
-//! Failures that come and go: from one instant to another, or in a part of the array, the sensor does
-//! something else. Each test finds a stretch of time with its ends, and the rows and columns.
+//! Temporary failures: from one instant to another, or in a part of the array, the sensor behaves
+//! differently. Each test finds an interval of time, and rows and columns.
 //!
-//! - `stalls`: events wait and are released together.
-//! - `copies`: packets of events come twice.
-//! - `signs`: events of one sign carry the other one.
-//! - `lost`: a rectangle of the array is silent.
-//! - `noise`: events without light on the whole array, at random.
-//! - `hot`: pixels fire by themselves.
-//! - `rhythm`: events rise and fall together, as light that flickers for a while makes them.
+//! - `stalls`: events are delayed and released together.
+//! - `copies`: packets of events are repeated.
+//! - `signs`: events of one sign are recorded with the other one.
+//! - `lost`: a rectangle of the array has no events.
+//! - `noise`: random events without light on the whole array.
+//! - `hot`: pixels fire without light.
+//! - `rhythm`: events rise and fall together, as under light that flickers for a while.
 //!
-//! Limits: a failure that lasts for the whole recording is the business of the other tests; one of each kind
-//! but of hot pixels is reported, the strongest; a rectangle is found where the scene moves in all of it.
+//! Limits: failures of the whole recording are left to the other tests. One of each kind is reported, the
+//! strongest; of hot pixels all. A rectangle is found where the scene moves in all of it.
 
 mod copies;
 pub(super) mod hot;
@@ -20,21 +20,21 @@ pub(super) mod rhythm;
 mod signs;
 mod stalls;
 
-use super::array::{Stamped, Stream};
+use super::array::{EventsByTime, StampedEvent};
 use photocurrent_scene::case::Case;
 use serde::{Deserialize, Serialize};
 
-/// What goes wrong.
+/// Kinds of temporary failures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Failure {
     /// Events are released together.
     Stall,
-    /// Events come twice.
+    /// Events are repeated.
     Copies,
     /// Events of one sign carry the other.
     Sign,
-    /// A part of the array is silent.
+    /// A part of the array has no events.
     Lost,
     /// Events without light, everywhere.
     Noise,
@@ -62,10 +62,10 @@ impl Failure {
     }
 }
 
-/// A failure from one instant to another.
+/// A temporary failure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Episode {
-    /// What.
+    /// Its kind.
     pub failure: Failure,
     /// First and last instant, ns.
     pub time_ns: [i64; 2],
@@ -76,35 +76,33 @@ pub struct Episode {
     /// The pixels, rising, where they are not all of those rows and columns.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pixels: Vec<u32>,
-    /// What the test measured over what counts.
+    /// The test's statistic over its threshold.
     pub statistic: f64,
-    /// What was seen, in a sentence.
+    /// The observation, in a sentence.
     pub seen: String,
 }
 
-/// A failure that lasts for more than this share of the recording is none that comes and goes.
+/// Longest temporary failure, as a share of the recording.
 const LONGEST: f64 = 0.9;
 
-/// Stamps on a grid of this step, seconds, and coarser look like stalls (a tenth of the shortest) and like
-/// copies.
+/// Grid of stamps, seconds, from which on stalls (a tenth of the shortest) and copies cannot be tested.
 const COARSE_S: f64 = 5e-5;
 
-/// All failures of a recording that come and go, in the order of their beginnings: those of pixels that are
-/// `hot` for a while, and others; pixels of `masked` (rising) take no part. `step_s`: the grid of the
-/// stamps, seconds. With them a rhythm, for a while or for the whole
-/// recording.
+/// All temporary failures of a recording by their beginnings: of pixels that are `hot` for a while, and
+/// others. A rhythm comes with them, temporary or not. `masked`: pixels left out, rising. `step_s`: grid of
+/// the stamps, s.
 pub(super) fn episodes(
     case: &Case,
-    stream: &Stream,
+    stream: &EventsByTime,
     (hot, masked): (Vec<Episode>, &[u32]),
     step_s: f64,
-) -> (Vec<Episode>, Option<rhythm::Rhythm>) {
+) -> (Vec<Episode>, Option<rhythm::EventRhythm>) {
     let mut found = hot;
     let is_out = |pixel: u32| {
         masked.binary_search(&pixel).is_ok()
             || found.iter().any(|one| one.pixels.binary_search(&pixel).is_ok())
     };
-    let rest: Vec<Stamped> = stream.0.iter().filter(|event| !is_out(event.pixel)).copied().collect();
+    let rest: Vec<StampedEvent> = stream.0.iter().filter(|event| !is_out(event.pixel)).copied().collect();
     let mut others = Vec::new();
     if step_s < COARSE_S {
         // What waits together gets one stamp: of a stall it is no copy.
@@ -133,8 +131,14 @@ impl Episode {
         2 * shared > self.time_ns[1] - self.time_ns[0]
     }
 
-    /// On the whole array.
-    fn everywhere(case: &Case, failure: Failure, time_ns: [i64; 2], statistic: f64, seen: String) -> Episode {
+    /// A failure of the whole array.
+    fn on_whole_array(
+        case: &Case,
+        failure: Failure,
+        time_ns: [i64; 2],
+        statistic: f64,
+        seen: String,
+    ) -> Episode {
         Episode {
             failure,
             time_ns,

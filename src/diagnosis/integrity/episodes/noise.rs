@@ -1,36 +1,36 @@
-//! Bursts of events without light: everywhere at once, of both signs, each pixel by itself.
+//! Noise bursts: random events of both signs on the whole array, independent between pixels.
 
 use super::{BLOCKS, Episode, Failure, LONGEST, block, stretch};
-use crate::integrity::array::Stamped;
+use crate::integrity::array::StampedEvent;
 use photocurrent_scene::case::Case;
 use std::ops::Range;
 
 /// Bins of time, ns.
 const BIN_NS: i64 = 500_000;
-/// The quiet blocks: so many with the lowest rates.
+/// Number of quiet blocks, those with the lowest rates.
 const QUIET: usize = 4;
-/// In a burst they fire so many times as often.
+/// Least ratio of their rate in a burst to that of the rest.
 const TIMES: f64 = 1.6;
 /// Log likelihood of the burst over an even rate, nats.
 const NATS: f64 = 100.0;
-/// What is added is the same in all blocks but so many, within this factor.
+/// Number of blocks in which the added rate may differ by more than this factor.
 const OTHERS: usize = 2;
 const EVEN: f64 = 1.6;
 /// Share of ON among what is added.
 const ON: std::ops::RangeInclusive<f64> = 0.3..=0.7;
-/// Of the events that are added at most so many times as many have one of the same sign next to them within
-/// this time, ns, as chance makes, and so much less than of the others.
+/// Added events have neighbours of the same sign within this time, ns, at most this many times as often as by
+/// chance, and that much less often than other events.
 const NEAR_NS: i64 = 1_000_000;
 const BY_CHANCE: f64 = 1.5;
-/// Ends are sought within so many bins.
+/// Search range of the ends, bins.
 const AROUND: usize = 30;
-/// And rates just outside are means over so many at least.
+/// Least number of bins for the rate just outside.
 const LEAST_OUTSIDE: usize = 5;
 /// Shorter is a flash of the light, ns.
 const SHORTEST_NS: i64 = 10_000_000;
 
 /// The burst that is the least probable at the rate of the rest.
-pub(super) fn noise(case: &Case, stream: &[Stamped]) -> Option<Episode> {
+pub(super) fn noise(case: &Case, stream: &[StampedEvent]) -> Option<Episode> {
     let (start, end) = (stream.first()?.t_ns, stream.last()?.t_ns);
     let bins = ((end - start) / BIN_NS + 1) as usize;
     let bin = |t_ns: i64| ((t_ns - start) / BIN_NS) as usize;
@@ -43,7 +43,7 @@ pub(super) fn noise(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     order.sort_by(|a, b| total(*a).total_cmp(&total(*b)));
     order.truncate(QUIET);
     let quiet: Vec<f64> = (0..bins).map(|bin| order.iter().map(|&block| counts[block][bin]).sum()).collect();
-    let (first, last, nats, rate) = busiest(&quiet)?;
+    let (first, last, nats, rate) = densest_stretch(&quiet)?;
     // A scene that grows busier at its end moves that: it is where all blocks jump.
     let all: Vec<f64> = (0..bins).map(|bin| counts.iter().map(|of| of[bin]).sum()).collect();
     let (first, last) = (jump(&all, first, last), jump(&all, last + 1, first).saturating_sub(1));
@@ -61,7 +61,7 @@ pub(super) fn noise(case: &Case, stream: &[Stamped]) -> Option<Episode> {
         && inside / length >= TIMES * f64::max(rate, 0.01);
     let blocks = pixels.iter().filter(|pixels| **pixels > 0.0).count();
     // The scene moves from block to block: what is added is even at the ends, or in the mean.
-    let of_all = |ends: &[End]| -> (f64, usize) {
+    let of_all = |ends: &[EndBins]| -> (f64, usize) {
         let of = |block: usize| added(&counts[block], ends) / pixels[block];
         let usual = order.iter().map(|&block| of(block)).sum::<f64>() / order.len() as f64;
         let is_even = |block: &usize| (1.0 / EVEN..=EVEN).contains(&(of(*block) / usual));
@@ -75,7 +75,7 @@ pub(super) fn noise(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     let time_ns = [start + first as i64 * BIN_NS, (start + (last as i64 + 1) * BIN_NS).min(end)];
     let of_time = (time_ns, [length, rest].map(|bins| bins * BIN_NS as f64));
     let quiet_pixels = order.iter().map(|&block| pixels[block]).sum();
-    let watched: Vec<Stamped> =
+    let watched: Vec<StampedEvent> =
         stream.iter().filter(|event| order.contains(&block(case, event.pixel))).copied().collect();
     let on = without_light(case, &watched, of_time, quiet_pixels)?;
     let hz = usual * 1e9 / BIN_NS as f64;
@@ -84,12 +84,12 @@ pub(super) fn noise(case: &Case, stream: &[Stamped]) -> Option<Episode> {
              % ON), each pixel by itself",
         100.0 * on
     );
-    Some(Episode::everywhere(case, Failure::Noise, time_ns, nats / NATS, seen))
+    Some(Episode::on_whole_array(case, Failure::Noise, time_ns, nats / NATS, seen))
 }
 
-/// The stretch of bins with more events that is the least probable at the rate of the rest: first and last
-/// bin, nats, and that rate, events a bin.
-fn busiest(counts: &[f64]) -> Option<(usize, usize, f64, f64)> {
+/// The interval of bins with more events that is least probable at the rate of the rest: first and last bin,
+/// nats, and that rate, events per bin.
+fn densest_stretch(counts: &[f64]) -> Option<(usize, usize, f64, f64)> {
     let bins = counts.len();
     let mut found = (0, bins - 1, 0.0);
     let mut rate = counts.iter().sum::<f64>() / bins as f64 / TIMES;
@@ -108,10 +108,10 @@ fn busiest(counts: &[f64]) -> Option<(usize, usize, f64, f64)> {
 }
 
 /// Bins just inside and just outside of an end.
-type End = [Range<usize>; 2];
+type EndBins = [Range<usize>; 2];
 
 /// The ends of a burst that lie within the recording.
-fn around_ends(first: usize, last: usize, bins: usize) -> Vec<End> {
+fn around_ends(first: usize, last: usize, bins: usize) -> Vec<EndBins> {
     let begin = [first..(first + AROUND).min(last + 1), first.saturating_sub(AROUND)..first];
     let inside = (last + 1).saturating_sub(AROUND).max(first)..last + 1;
     let end = [inside, last + 1..(last + 1 + AROUND).min(bins)];
@@ -119,7 +119,7 @@ fn around_ends(first: usize, last: usize, bins: usize) -> Vec<End> {
 }
 
 /// Events a bin inside of the ends less those outside, of ranges that are not empty.
-fn added(counts: &[f64], ends: &[End]) -> f64 {
+fn added(counts: &[f64], ends: &[EndBins]) -> f64 {
     let of = |range: &Range<usize>| (counts[range.clone()].iter().sum::<f64>(), range.len() as f64);
     let sums = ends.iter().fold([(0.0, 0.0); 2], |sums, end| {
         let one = |k: usize| (sums[k].0 + of(&end[k]).0, sums[k].1 + of(&end[k]).1);
@@ -152,17 +152,17 @@ fn jump(counts: &[f64], end: usize, other: usize) -> usize {
     (from + 1..to).max_by(|a, b| gain(*a).total_cmp(&gain(*b))).unwrap_or(end)
 }
 
-/// The share of ON among what is added between two instants, where it is of both signs and has no neighbours
-/// but by chance; lengths: of that time, and of the rest, ns.
+/// Share of ON among the events added between two instants, where both signs occur and neighbours are by
+/// chance; lengths of that interval and of the rest, ns.
 fn without_light(
     case: &Case,
-    watched: &[Stamped],
+    watched: &[StampedEvent],
     (time_ns, lengths): ([i64; 2], [f64; 2]),
     pixels: f64,
 ) -> Option<f64> {
-    let near = near(case, watched);
+    let near = has_near_neighbour(case, watched);
     let of = |is_in: bool, length: f64| {
-        let is_of = |event: &Stamped| (time_ns[0]..time_ns[1]).contains(&event.t_ns) == is_in;
+        let is_of = |event: &StampedEvent| (time_ns[0]..time_ns[1]).contains(&event.t_ns) == is_in;
         let events = watched.iter().zip(&near).filter(|(event, _)| is_of(event));
         let sum = events.fold([0.0; 3], |[all, on, near], (event, is_near)| {
             let one = |is: bool| f64::from(u8::from(is));
@@ -180,10 +180,10 @@ fn without_light(
 }
 
 /// Which events have one of the same sign in the eight pixels around within [`NEAR_NS`] before.
-fn near(case: &Case, events: &[Stamped]) -> Vec<bool> {
+fn has_near_neighbour(case: &Case, events: &[StampedEvent]) -> Vec<bool> {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let mut last = vec![[i64::MIN / 2; 2]; case.extent.pixels()];
-    let one = |event: &Stamped| {
+    let one = |event: &StampedEvent| {
         let (x, y) = (event.pixel as usize % width, event.pixel as usize / width);
         let sign = usize::from(event.polarity > 0);
         let mut is_near = false;

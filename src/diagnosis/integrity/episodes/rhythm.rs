@@ -1,16 +1,16 @@
-//! Events in one rhythm, of a rectangle of the array or of all of it, for a while: light that flickers there
-//! from one instant to another. Its phase is the same everywhere, as that of nothing that moves is.
+//! A rhythm of the events in a rectangle of the array or all of it, for a while: light that flickers there.
+//! Its phase is the same everywhere, unlike that of moving objects.
 //!
-//! Limits were set on three simulated recordings; docs/diagnosis.md has what they find in others.
+//! Limits were set on three simulated recordings; docs/diagnosis.md lists the results on others.
 
 use super::{BLOCKS, Episode, Failure, LONGEST, block, cell_side, stretch};
-use crate::integrity::array::{LAMPS_HZ, LAMPS_STEP_NS, Stamped, slow};
+use crate::integrity::array::{LAMPS_HZ, LAMPS_STEP_NS, StampedEvent, slow_mean};
 use photocurrent_scene::case::Case;
 use std::f64::consts::TAU;
 
 /// Frequencies that are tried first are so far apart, Hz.
 const APART_HZ: usize = 5;
-/// A rhythm is first sought in windows of so many bins.
+/// Length of the windows in which a rhythm is first searched, bins.
 const WINDOW: usize = 80;
 /// Log likelihood of the rhythm in the best window from which on it is followed, and in all, nats.
 const HOPEFUL: f64 = 12.0;
@@ -19,20 +19,20 @@ const NATS: f64 = 100.0;
 const CORRECTIONS: usize = 6;
 /// Frequencies within one correction.
 const FINE: i32 = 24;
-/// Other frequencies are further away than so many parts of a period over the length.
+/// Least distance of other frequencies, parts of a period over the length.
 const OTHERS: f64 = 3.0;
-/// So many periods at least.
+/// Least number of periods.
 const PERIODS: f64 = 3.0;
-/// Beyond its end a rhythm would be so many standard deviations.
+/// Least standard deviations that a rhythm would have beyond its end.
 const SHOWS: f64 = 4.0;
 /// Of the blocks' amplitudes so much is common.
 const COHERENCE: f64 = 0.9;
-/// Events a bin and block that are added to rates, so that rare ones count for little.
+/// Events per bin and block that are added to rates, so that rare ones have little weight.
 const FLOOR: f64 = 0.25;
 
 /// Events in one rhythm.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Rhythm {
+pub(crate) struct EventRhythm {
     /// Frequency, Hz.
     pub(crate) hz: f64,
     /// Events of a pixel and second more of one sign than of the other where they are most.
@@ -45,36 +45,36 @@ pub(crate) struct Rhythm {
     pub(crate) columns: [u32; 2],
     /// Is it in a part of the recording only, as far as events at other times show?
     pub(crate) for_a_while: bool,
-    /// Log likelihood that it gains over what counts.
+    /// Gain in log-likelihood over its threshold.
     statistic: f64,
 }
 
-impl Rhythm {
+impl EventRhythm {
     /// As an episode.
     pub(super) fn episode(&self, case: &Case) -> Episode {
-        let Rhythm { hz, amplitude, time_ns, rows, columns, .. } = self;
+        let EventRhythm { hz, amplitude, time_ns, rows, columns, .. } = self;
         let seen = format!(
             "events rise and fall together at {hz:.1} Hz in rows {} to {} and columns {} to {}, by \
              {amplitude:.0} a pixel and second more of one sign than of the other, and not before and after",
             rows[0], rows[1], columns[0], columns[1]
         );
-        let whole = Episode::everywhere(case, Failure::Rhythm, *time_ns, self.statistic, seen);
+        let whole = Episode::on_whole_array(case, Failure::Rhythm, *time_ns, self.statistic, seen);
         Episode { rows: *rows, columns: *columns, ..whole }
     }
 }
 
 /// A wave of signs with the bins in which it is.
-struct Wave {
+struct SignWave {
     hz: f64,
     /// At the first stamp.
     phase: f64,
     first: usize,
     last: usize,
-    /// Log likelihood that it gains, over what other frequencies gain where that is more than chance.
+    /// Gain in log-likelihood, relative to that of other frequencies where this exceeds chance.
     nats: f64,
 }
 
-impl Wave {
+impl SignWave {
     /// Of an instant after the first stamp, ns.
     fn at(&self, t_ns: i64) -> f64 {
         libm::cos(TAU * self.hz * t_ns as f64 * 1e-9 + self.phase)
@@ -82,19 +82,19 @@ impl Wave {
 }
 
 /// The rhythm that is the least probable without one.
-pub(super) fn rhythm(case: &Case, stream: &[Stamped]) -> Option<Rhythm> {
+pub(super) fn rhythm(case: &Case, stream: &[StampedEvent]) -> Option<EventRhythm> {
     let (start, end) = (stream.first()?.t_ns, stream.last()?.t_ns);
     let bins = ((end - start) / LAMPS_STEP_NS + 1) as usize;
     if bins < 2 * WINDOW {
         return None;
     }
-    let (signed, weights) = whitened(&Counts::of(case, stream, start, bins));
+    let (signed, weights) = whitened(&BlockCounts::from_stream(case, stream, start, bins));
     let found = followed(&signed, &weights)?;
     let length = found.last + 1 - found.first;
     if found.nats < NATS || (length as f64) * LAMPS_STEP_NS as f64 * 1e-9 * found.hz < PERIODS {
         return None;
     }
-    let part = |event: &Stamped| f64::from(event.polarity) * found.at(event.t_ns - start);
+    let part = |event: &StampedEvent| f64::from(event.polarity) * found.at(event.t_ns - start);
     let mut time_ns = [found.first, found.last + 1].map(|bin| (start + bin as i64 * LAMPS_STEP_NS).min(end));
     let of = |from: i64, to: i64| {
         let [first, last] = [from, to].map(|t| stream.partition_point(|event| event.t_ns < t));
@@ -113,7 +113,7 @@ pub(super) fn rhythm(case: &Case, stream: &[Stamped]) -> Option<Rhythm> {
     let inside = &stream[first..last];
     let (rows, columns, mean) = rectangle(case, inside, &part)?;
     let share = (time_ns[1] - time_ns[0]) as f64 / (end - start) as f64;
-    is_common(case, inside, (rows, columns), &found, start).then(|| Rhythm {
+    is_common(case, inside, (rows, columns), &found, start).then(|| EventRhythm {
         hz: found.hz,
         amplitude: 2e9 * mean / (time_ns[1] - time_ns[0]) as f64,
         time_ns,
@@ -125,15 +125,15 @@ pub(super) fn rhythm(case: &Case, stream: &[Stamped]) -> Option<Rhythm> {
 }
 
 /// Events of blocks and bins: all, and ON less OFF.
-struct Counts {
+struct BlockCounts {
     all: Vec<Vec<f64>>,
     signed: Vec<Vec<f64>>,
 }
 
-impl Counts {
-    fn of(case: &Case, stream: &[Stamped], start: i64, bins: usize) -> Counts {
+impl BlockCounts {
+    fn from_stream(case: &Case, stream: &[StampedEvent], start: i64, bins: usize) -> BlockCounts {
         let none = vec![vec![0.0; bins]; BLOCKS * BLOCKS];
-        let mut counts = Counts { all: none.clone(), signed: none };
+        let mut counts = BlockCounts { all: none.clone(), signed: none };
         for event in stream {
             let (block, bin) = (block(case, event.pixel), ((event.t_ns - start) / LAMPS_STEP_NS) as usize);
             counts.all[block][bin] += 1.0;
@@ -143,13 +143,13 @@ impl Counts {
     }
 }
 
-/// Signs of all blocks as one series with a deviation of 1 a bin, each block by what it weighs; and what one
-/// event more of ON in each block adds to it.
-fn whitened(counts: &Counts) -> (Vec<f64>, Vec<f64>) {
+/// Signed counts of all blocks as one weighted series with standard deviation 1 per bin; and the change of it
+/// by one more ON event in each block.
+fn whitened(counts: &BlockCounts) -> (Vec<f64>, Vec<f64>) {
     let bins = counts.all[0].len();
     let mut sums = vec![[0.0_f64; 3]; bins];
     for (all, signed) in counts.all.iter().zip(&counts.signed) {
-        let (rates, slow) = (slow(all), slow(signed));
+        let (rates, slow) = (slow_mean(all), slow_mean(signed));
         for (bin, [sum, variance, weight]) in sums.iter_mut().enumerate() {
             let one = 1.0 / (rates[bin] + FLOOR);
             *sum += one * (signed[bin] - slow[bin]);
@@ -163,7 +163,7 @@ fn whitened(counts: &Counts) -> (Vec<f64>, Vec<f64>) {
 
 /// Log likelihood that a rhythm of a frequency in some bins gains, its phase at the first bin of all, and its
 /// amplitude, events a block and bin.
-fn of_frequency(signed: &[f64], weights: &[f64], range: (usize, usize), hz: f64) -> (f64, f64, f64) {
+fn frequency_gain(signed: &[f64], weights: &[f64], range: (usize, usize), hz: f64) -> (f64, f64, f64) {
     let (mut re, mut im, mut squares) = (0.0, 0.0, 0.0);
     for k in range.0..range.1 {
         let phase = TAU * hz * (k as f64 + 0.5) * LAMPS_STEP_NS as f64 * 1e-9;
@@ -176,11 +176,11 @@ fn of_frequency(signed: &[f64], weights: &[f64], range: (usize, usize), hz: f64)
 }
 
 /// The strongest rhythm of a window, followed as far as it goes.
-fn followed(signed: &[f64], weights: &[f64]) -> Option<Wave> {
+fn followed(signed: &[f64], weights: &[f64]) -> Option<SignWave> {
     let starts = (0..signed.len() - WINDOW).step_by(WINDOW / 2);
     let windows = starts.flat_map(|from| {
         let frequencies = LAMPS_HZ.step_by(APART_HZ).map(f64::from);
-        frequencies.map(move |hz| (of_frequency(signed, weights, (from, from + WINDOW), hz).0, from, hz))
+        frequencies.map(move |hz| (frequency_gain(signed, weights, (from, from + WINDOW), hz).0, from, hz))
     });
     let (gain, from, mut hz) = windows.max_by(|a, b| a.0.total_cmp(&b.0))?;
     if gain < HOPEFUL {
@@ -193,7 +193,7 @@ fn followed(signed: &[f64], weights: &[f64]) -> Option<Wave> {
         // The frequency is known to a part of a period over the length.
         let apart = 1.0 / (FINE as f64 * (range.1 - range.0) as f64 * LAMPS_STEP_NS as f64 * 1e-9);
         let tried = (-FINE..=FINE).map(|n| hz + f64::from(n) * apart).filter(is_tried);
-        let of = |hz: f64| (of_frequency(signed, weights, range, hz), hz);
+        let of = |hz: f64| (frequency_gain(signed, weights, range, hz), hz);
         let ((_, phase, amplitude), best) = tried.map(of).max_by(|a, b| a.0.0.total_cmp(&b.0.0))?;
         hz = best;
         let score = |k: usize| {
@@ -203,23 +203,23 @@ fn followed(signed: &[f64], weights: &[f64]) -> Option<Wave> {
         };
         let (first, last, nats) = stretch((0..signed.len()).map(score))?;
         range = (first, last + 1);
-        found = Some(Wave { hz, phase, first, last, nats });
+        found = Some(SignWave { hz, phase, first, last, nats });
     }
     // Scenes are no white noise: what other frequencies gain in the same bins is no rhythm of one.
     let mut found = found?;
     let width_hz = OTHERS / ((range.1 - range.0) as f64 * LAMPS_STEP_NS as f64 * 1e-9);
     let others = LAMPS_HZ.step_by(APART_HZ).map(f64::from).filter(|other| (other - hz).abs() > width_hz);
-    let gains: Vec<f64> = others.map(|hz| of_frequency(signed, weights, range, hz).0).collect();
+    let gains: Vec<f64> = others.map(|hz| frequency_gain(signed, weights, range, hz).0).collect();
     found.nats /= f64::max(gains.iter().sum::<f64>() / gains.len().max(1) as f64, 1.0);
     Some(found)
 }
 
-/// The rectangle whose events go with a rhythm, its rows and columns, and what its pixels have of it in the
-/// mean. `part`: an event's share of the rhythm.
+/// The rectangle whose events follow a rhythm: rows, columns, and the mean amplitude of its pixels. `part`:
+/// an event's share of the rhythm.
 fn rectangle(
     case: &Case,
-    events: &[Stamped],
-    part: &dyn Fn(&Stamped) -> f64,
+    events: &[StampedEvent],
+    part: &dyn Fn(&StampedEvent) -> f64,
 ) -> Option<([u32; 2], [u32; 2], f64)> {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let side = cell_side(case);
@@ -298,9 +298,9 @@ fn ends(
 /// Is the phase one in all blocks of a rectangle?
 fn is_common(
     case: &Case,
-    inside: &[Stamped],
+    inside: &[StampedEvent],
     (rows, columns): ([u32; 2], [u32; 2]),
-    found: &Wave,
+    found: &SignWave,
     start: i64,
 ) -> bool {
     let width = case.extent.width;

@@ -1,21 +1,21 @@
-//! Stalls of the readout: nothing comes for milliseconds, then all that fired meanwhile at once.
+//! Stalls of the readout: no event for milliseconds, then all delayed ones at once.
 
 use super::{Episode, Failure, LONGEST};
-use crate::integrity::array::Stamped;
+use crate::integrity::array::StampedEvent;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::statistics::median;
 
 /// Shorter gaps are no stalls, ns.
 const SHORTEST_NS: i64 = 500_000;
-/// What is released comes within this share of the gap behind it.
+/// Longest release, as a share of the gap before it.
 const RELEASED: f64 = 0.05;
-/// So many gaps follow each other.
+/// Least number of consecutive gaps.
 const FEWEST: usize = 3;
-/// So many events come in each release, in the median: a chance of exp(-20) that none came before.
+/// Least number of events in a release, median: a chance of exp(-20) that none came before.
 const LEAST_EVENTS: f64 = 20.0;
 
 /// The longest row of gaps with releases between them.
-pub(super) fn stalls(case: &Case, stream: &[Stamped]) -> Option<Episode> {
+pub(super) fn stalls(case: &Case, stream: &[StampedEvent]) -> Option<Episode> {
     let (first, last) = (stream.first()?.t_ns, stream.last()?.t_ns);
     // Gaps as the numbers of the events before them.
     let gaps: Vec<usize> = (1..stream.len())
@@ -53,5 +53,5 @@ pub(super) fn stalls(case: &Case, stream: &[Stamped]) -> Option<Episode> {
         best.len(),
         median(&mut lengths) * 1e-6
     );
-    Some(Episode::everywhere(case, Failure::Stall, time_ns, events / LEAST_EVENTS, seen))
+    Some(Episode::on_whole_array(case, Failure::Stall, time_ns, events / LEAST_EVENTS, seen))
 }

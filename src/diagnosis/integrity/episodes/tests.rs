@@ -1,7 +1,7 @@
 //! Failures put into recordings by hand, between known instants.
 
 use super::super::integrity;
-use super::super::tests::{bursts_on, with};
+use super::super::tests::{bursts_on, with_changed_events};
 use super::*;
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
@@ -12,17 +12,17 @@ const EXTENT: Extent = Extent { width: 64, height: 48 };
 const BEGIN: i64 = 100_000_000;
 const END: i64 = 180_000_000;
 
-fn sound() -> Case {
+fn nominal_case() -> Case {
     bursts_on(EXTENT, 5, 1000)
 }
 
-fn found(case: &Case) -> Vec<Episode> {
-    episodes(case, &Stream::of(case), (hot::hot(case), &[]), 0.0).0
+fn episodes_found(case: &Case) -> Vec<Episode> {
+    episodes(case, &EventsByTime::from_case(case), (hot::hot_pixel_episodes(case), &[]), 0.0).0
 }
 
 /// The one failure that is found, which begins and ends within 2 ms of where it does.
-fn one(case: &Case, failure: Failure) -> Episode {
-    let found = found(case);
+fn single_episode(case: &Case, failure: Failure) -> Episode {
+    let found = episodes_found(case);
     assert_eq!(found.iter().map(|one| one.failure).collect::<Vec<_>>(), [failure], "{found:?}");
     let [begin, end] = found[0].time_ns;
     assert!((begin - BEGIN).abs() <= 2_000_000 && (end - END).abs() <= 2_000_000, "{found:?}");
@@ -38,27 +38,27 @@ fn at(t_ns: i64, polarity: i8) -> PixelEvent {
 }
 
 #[test]
-fn a_sound_recording_has_none() {
-    assert_eq!(found(&sound()), []);
+fn a_nominal_recording_has_none() {
+    assert_eq!(episodes_found(&nominal_case()), []);
 }
 
 #[test]
 fn a_stalled_readout_is_found_with_its_gaps() {
     let stall = 5_000_000;
-    let case = with(sound(), |_, events| {
+    let case = with_changed_events(nominal_case(), |_, events| {
         for event in events.iter_mut().filter(|event| is_inside(event)) {
             let released = BEGIN + ((event.t_off_ns - BEGIN) / stall + 1) * stall;
             *event = at(released.min(END - 1000), event.polarity);
         }
     });
-    let one = one(&case, Failure::Stall);
+    let one = single_episode(&case, Failure::Stall);
     assert!(one.seen.contains("16 gaps of 5.00 ms"), "{}", one.seen);
 }
 
 #[test]
 fn packets_that_come_twice_are_found() {
     let twice = |from: i64, to: i64| {
-        with(sound(), move |_, events| {
+        with_changed_events(nominal_case(), move |_, events| {
             let is_copied = |event: &&PixelEvent| {
                 (from..to).contains(&event.t_off_ns) && event.t_off_ns / 1_000_000 % 4 == 0
             };
@@ -67,62 +67,62 @@ fn packets_that_come_twice_are_found() {
             events.sort_by_key(|event| event.t_off_ns);
         })
     };
-    let one = one(&twice(BEGIN, END + 1_000_000), Failure::Copies);
+    let one = single_episode(&twice(BEGIN, END + 1_000_000), Failure::Copies);
     // A quarter comes twice, a fifth of all; the scene is a little busier in those milliseconds.
     assert!(one.seen.contains("have the pixel, stamp and sign of the one before (21 %)"), "{}", one.seen);
     assert!(one.rows[0] <= 1 && one.rows[1] >= 46 && one.columns[0] <= 1 && one.columns[1] >= 62);
     // What happens all the time is the reader's hazard.
-    assert_eq!(found(&twice(0, i64::MAX)), []);
+    assert_eq!(episodes_found(&twice(0, i64::MAX)), []);
 }
 
 #[test]
 fn stuck_signs_are_found_and_light_that_rises_everywhere_is_none() {
     let stuck = |share: f64| {
         let mut random = Random::new(3, &[]);
-        with(sound(), move |_, events| {
+        with_changed_events(nominal_case(), move |_, events| {
             for event in events.iter_mut().filter(|event| is_inside(event)) {
                 event.polarity = if random.uniform() < share { 1 } else { event.polarity };
             }
         })
     };
-    let whole = one(&stuck(1.0), Failure::Sign);
+    let whole = single_episode(&stuck(1.0), Failure::Sign);
     assert!(whole.seen.starts_with("OFF events carry the sign of ON"), "{}", whole.seen);
-    one(&stuck(0.8), Failure::Sign);
+    single_episode(&stuck(0.8), Failure::Sign);
     // Half of the array alone is the scene's.
-    let half = with(sound(), |pixel, events| {
+    let half = with_changed_events(nominal_case(), |pixel, events| {
         for event in events.iter_mut().filter(|event| is_inside(event) && pixel % 64 < 32) {
             event.polarity = 1;
         }
     });
-    assert_eq!(found(&half), []);
+    assert_eq!(episodes_found(&half), []);
 }
 
 #[test]
-fn a_silent_rectangle_is_found_with_its_rows_and_columns() {
+fn a_rectangle_without_events_is_found_with_its_rows_and_columns() {
     let is_silent = |pixel: usize| (21..45).contains(&(pixel % 64)) && (9..34).contains(&(pixel / 64));
-    let case = with(sound(), |pixel, events| {
+    let case = with_changed_events(nominal_case(), |pixel, events| {
         if is_silent(pixel) {
             events.retain(|event| !is_inside(event));
         }
     });
-    let one = one(&case, Failure::Lost);
+    let one = single_episode(&case, Failure::Lost);
     assert_eq!((one.rows, one.columns), ([9, 33], [21, 44]));
     // What leaves little by little is the scene's.
-    let fading = with(sound(), |pixel, events| {
+    let fading = with_changed_events(nominal_case(), |pixel, events| {
         let share = |t: i64| (((BEGIN - t) as f64) / 80e6).max((t - END) as f64 / 80e6).clamp(0.0, 1.0);
         let mut random = Random::new(7, &[pixel as u64]);
         if is_silent(pixel) {
             events.retain(|event| random.uniform() < share(event.t_off_ns));
         }
     });
-    assert_eq!(found(&fading), []);
+    assert_eq!(episodes_found(&fading), []);
 }
 
 #[test]
 fn a_burst_of_noise_is_found_and_one_of_a_sign_is_none() {
     let noisy = |sign: Option<i8>| {
         let mut random = Random::new(9, &[]);
-        with(sound(), move |_, events| {
+        with_changed_events(nominal_case(), move |_, events| {
             for _ in 0..60 {
                 let t = BEGIN + (random.uniform() * (END - BEGIN) as f64) as i64 / 1000 * 1000;
                 let polarity = sign.unwrap_or(if random.uniform() < 0.5 { 1 } else { -1 });
@@ -131,8 +131,8 @@ fn a_burst_of_noise_is_found_and_one_of_a_sign_is_none() {
             events.sort_by_key(|event| event.t_off_ns);
         })
     };
-    one(&noisy(None), Failure::Noise);
-    assert!(found(&noisy(Some(1))).iter().all(|one| one.failure != Failure::Noise));
+    single_episode(&noisy(None), Failure::Noise);
+    assert!(episodes_found(&noisy(Some(1))).iter().all(|one| one.failure != Failure::Noise));
 }
 
 #[test]
@@ -141,7 +141,7 @@ fn a_rhythm_for_a_while_is_found_with_its_frequency_and_its_part_of_the_array() 
     // Signs as those of the slope of light that goes up and down at 110 Hz, events as often as it is steep.
     let lit = |is_one: bool| {
         let mut random = Random::new(13, &[]);
-        with(sound(), move |pixel, events| {
+        with_changed_events(nominal_case(), move |pixel, events| {
             let lag = if is_one { 0.0 } else { 0.4 * (pixel % 64) as f64 };
             for _ in 0..if is_lit(pixel) { 60 } else { 0 } {
                 let t = BEGIN + (random.uniform() * (END - BEGIN) as f64) as i64 / 1000 * 1000;
@@ -154,10 +154,10 @@ fn a_rhythm_for_a_while_is_found_with_its_frequency_and_its_part_of_the_array() 
         })
     };
     let case = lit(true);
-    let found_one = one(&case, Failure::Rhythm);
+    let found_one = single_episode(&case, Failure::Rhythm);
     assert_eq!((found_one.rows, found_one.columns), ([7, 36], [13, 49]));
-    let (_, rhythm) = episodes(&case, &Stream::of(&case), (Vec::new(), &[]), 0.0);
-    let rhythm::Rhythm { hz, amplitude, .. } = rhythm.unwrap();
+    let (_, rhythm) = episodes(&case, &EventsByTime::from_case(&case), (Vec::new(), &[]), 0.0);
+    let rhythm::EventRhythm { hz, amplitude, .. } = rhythm.unwrap();
     assert!((hz - 110.0).abs() < 0.5, "{hz}");
     // 60 events in 80 ms, as many as the slope in the mean: 2/pi; |cos| has cos^2 = 1/2 in the mean.
     let expected = 60.0 / 0.08;
@@ -170,14 +170,14 @@ fn a_rhythm_for_a_while_is_found_with_its_frequency_and_its_part_of_the_array() 
     assert_eq!(flicker.time_ns, Some(found_one.time_ns));
     assert!(of_all.findings.iter().all(|finding| finding.id != "background_activity"));
     // A rhythm that runs across the array is something that moves.
-    assert!(found(&lit(false)).iter().all(|one| one.failure != Failure::Rhythm));
+    assert!(episodes_found(&lit(false)).iter().all(|one| one.failure != Failure::Rhythm));
 }
 
 #[test]
 fn pixels_that_are_hot_for_a_while_are_found_together() {
     let hot = [700, 1500, 2222];
     let mut random = Random::new(11, &[]);
-    let case = with(sound(), |pixel, events| {
+    let case = with_changed_events(nominal_case(), |pixel, events| {
         if hot.contains(&pixel) {
             let mut t = BEGIN as f64;
             while t < END as f64 {
@@ -187,6 +187,6 @@ fn pixels_that_are_hot_for_a_while_are_found_together() {
             events.sort_by_key(|event| event.t_off_ns);
         }
     });
-    let one = one(&case, Failure::Hot);
+    let one = single_episode(&case, Failure::Hot);
     assert_eq!(one.pixels, hot.map(|pixel| pixel as u32));
 }

@@ -1,20 +1,20 @@
-//! Where and when light is estimated pixel by pixel.
+//! Selects the blocks of pixels, and the time, for the light of pixels.
 
 use photocurrent_core::random::Random;
 use photocurrent_scene::block::Block;
 use photocurrent_scene::case::Case;
-use photocurrent_scene::gate::Gate;
+use photocurrent_scene::gate::PredictionGate;
 
 /// Side of the blocks, pixels.
 const WIDTH: usize = 12;
 const HEIGHT: usize = 10;
-/// Blocks are from so many parts of the array along each side.
+/// Parts of the array along each side from which blocks are taken.
 const PARTS: usize = 2;
-/// And at most so many in all.
+/// Largest number of blocks.
 const MOST: usize = 4;
 /// A block with less than this share of the busiest one's activity is left out.
 const LEAST_ACTIVITY: f64 = 0.2;
-/// More events of one pixel than this count no more.
+/// Number of events of one pixel above which more have no weight.
 const ENOUGH_EVENTS: f64 = 60.0;
 /// Longest stretch of time, ns.
 const LONGEST_NS: i64 = 150_000_000;
@@ -26,7 +26,7 @@ pub(super) fn window(case: &Case) -> Option<Case> {
         return None;
     }
     let frames = ((LONGEST_NS as f64 / period_ns) as usize).max(4);
-    case.busiest(frames * case.extent.pixels())
+    case.busiest_frames(frames * case.extent.pixels())
 }
 
 /// Busy blocks, spread over the array.
@@ -36,7 +36,7 @@ pub(super) fn blocks(case: &Case) -> Vec<Block> {
     let activity = |block: &Block| -> f64 {
         let rows = block.y..block.y + block.height;
         let pixels = rows.flat_map(|y| (block.x..block.x + block.width).map(move |x| y * width + x));
-        pixels.map(|pixel| (case.events.of(pixel).len() as f64).min(ENOUGH_EVENTS).sqrt()).sum()
+        pixels.map(|pixel| (case.events.of_pixel(pixel).len() as f64).min(ENOUGH_EVENTS).sqrt()).sum()
     };
     let mut all: Vec<(f64, Block)> = Vec::new();
     for y in (0..=height - h).step_by(h) {
@@ -67,16 +67,16 @@ pub(super) fn blocks(case: &Case) -> Vec<Block> {
 const SEED: u64 = 5;
 
 /// Numbers of the events of each pixel that a gate keeps.
-pub(super) fn kept(case: &Case, gate: &Gate) -> Vec<usize> {
-    let of =
-        |pixel: usize| case.events.of(pixel).iter().filter(|event| gate.keeps(pixel, event.t_in_ns)).count();
+pub(super) fn gated_events(case: &Case, gate: &PredictionGate) -> Vec<usize> {
+    let of = |pixel: usize| {
+        case.events.of_pixel(pixel).iter().filter(|event| gate.accepts(pixel, event.t_in_ns)).count()
+    };
     (0..case.extent.pixels()).map(of).collect()
 }
 
-/// Pixels of a block by chance until about so many of their events that are `kept` take part, and so many are
-/// held out: of each pixel of the array whether its events take part, and whether they are held out. Of few
-/// events a quarter is held out.
-pub(super) fn pixels(
+/// Random pixels of a block until about `trained` of their gated events (`kept`) are fitted and `measured`
+/// are held out. Per pixel of the array: is it fitted, is it held out? With few events a quarter is held out.
+pub(super) fn choose_pixels(
     case: &Case,
     block: &Block,
     kept: &[usize],

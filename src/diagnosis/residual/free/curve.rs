@@ -1,11 +1,11 @@
-//! A curve without a name, estimated with the scene: its knots and the scene take steps together, as numbers
-//! do that a description leaves open ([`super::unknowns`]).
+//! An uncatalogued curve, estimated jointly with the scene: knots and scene take Newton steps together, like
+//! parameters that a description states as ranges ([`super::unknowns`]).
 
-use super::super::open::Open;
+use super::super::open::CovariateCurve;
 use super::super::setting::ERRORS;
-use super::fit::{Fit, Ground};
-use super::places::Level;
-use super::unknowns::Normal;
+use super::fit::{FitData, SceneFit};
+use super::places::BaseFit;
+use super::unknowns::NormalEquations;
 use crate::candidates::Trial;
 use crate::dependence::Dependence;
 use nalgebra::{DMatrix, DVector};
@@ -15,32 +15,31 @@ use photocurrent_scene::free::FreeScene;
 const TURNS: usize = 8;
 /// Finite differences, as a share of the curve's largest value.
 const PROBE: f64 = 0.05;
-/// A knot moves by no more than this share of the largest value in a turn, and stands where all move by less
-/// than that.
+/// Largest step of a knot per round, as a share of the largest value; smaller steps end the rounds.
 const FARTHEST: f64 = 1.0;
 const STILL: f64 = 0.01;
 /// Standard deviation of the prior of each knot, about 0, as a multiple of the largest value of the curve
 /// that was found without the scene.
 const PRIOR: f64 = 3.0;
 
-/// The best curve as it is when the scene follows it, with what is the same in all bins, and that scene. On
-/// residuals of a scene that was estimated without it, what the scene takes over is missing. None where the
-/// sensor cannot have it ([`Dependence::parameters`]), or has another one.
+/// The best curve refitted with the scene, its common offset, and that scene. A curve on residuals of a scene
+/// estimated without it lacks what that scene absorbed. `None` where the sensor cannot have it
+/// ([`Dependence::parameters`]) or has another one.
 ///
 /// # Errors
 /// When its sensor cannot be applied.
 pub(super) fn with_scene<'a, L: FreeScene>(
-    nothing: &Fit<'a, L>,
-    (best, without): (&Open, &Level),
-    ground: &Ground<'_, L>,
-) -> Result<Option<(Dependence, Fit<'a, L>)>, String> {
+    nothing: &SceneFit<'a, L>,
+    (best, without): (&CovariateCurve, &BaseFit),
+    ground: &FitData<'_, L>,
+) -> Result<Option<(Dependence, SceneFit<'a, L>)>, String> {
     let start_ns = ground.case.span.0;
     let mut curve = best.dependence.clone();
     curve.value.iter_mut().for_each(|value| *value += best.mean);
     curve.is_with_scene = true;
     let Trial { nominal, effects } = &nothing.trial;
     let with = |curve: &Dependence| -> Option<Trial> {
-        Some(Trial { nominal: nominal.clone(), effects: curve.put_in(effects, start_ns)? })
+        Some(Trial { nominal: nominal.clone(), effects: curve.apply_to_effects(effects, start_ns)? })
     };
     let largest = curve.value.iter().fold(0.0, |most, value| f64::max(most, value.abs()));
     let Some(trial) = with(&curve).filter(|_| largest > 0.0) else { return Ok(None) };
@@ -57,7 +56,7 @@ pub(super) fn with_scene<'a, L: FreeScene>(
             with(&moved).map(|trial| (trial, probe))
         };
         let Some(steps) = (0..count).map(moved).collect::<Option<Vec<_>>>() else { return Ok(None) };
-        let Normal { score, information, columns } = fit.normal(&steps)?;
+        let NormalEquations { score, information, columns } = fit.normal(&steps)?;
         let now = DVector::from_column_slice(&curve.value);
         let Some(factor) = (&information + &prior).cholesky() else { return Ok(None) };
         let far = FARTHEST * largest;
@@ -68,14 +67,14 @@ pub(super) fn with_scene<'a, L: FreeScene>(
         }
         curve.value.iter_mut().zip(step.iter()).for_each(|(value, by)| *value += by);
         let Some(trial) = with(&curve) else { return Ok(None) };
-        fit.follow(trial, &columns, step.as_slice())?;
+        fit.follow_trial(trial, &columns, step.as_slice())?;
         fit.release();
         fit.rounds(1)?;
         if step.amax() < STILL * largest {
             break;
         }
     }
-    let level = Level::of(&mut fit)?;
+    let level = BaseFit::from_fit(&mut fit)?;
     let gained = level.left_out.iter().zip(&without.left_out).map(|(with, without)| with - without);
     curve.nats_per_event = gained.sum::<f64>() / ground.events().max(1) as f64;
     curve.formulas = level.formulas(ground, &curve);

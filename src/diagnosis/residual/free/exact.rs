@@ -1,11 +1,11 @@
 //! Exact fits: scene and size of an effect, in turn and together.
 
-use super::super::evidence::Ranked;
+use super::super::evidence::RankedEffect;
 use super::super::setting::{ERRORS, LARGEST_EFFECT_SIZE};
-use super::fit::{Fit, Ground};
-use super::places::Level;
+use super::fit::{FitData, SceneFit};
+use super::places::BaseFit;
 use crate::candidates::{CANDIDATES, Signs, Trial};
-use photocurrent_scene::free::{FreeScene, Predicted};
+use photocurrent_scene::free::{FreeScene, PixelPrediction};
 
 /// Steps of a size that fall by a share of the last go as far as all that would follow (Aitken); a share of
 /// at most this.
@@ -20,29 +20,29 @@ const STILL_CHANGES: f64 = 0.01;
 const MOST_CORRECTIONS: usize = 9;
 
 /// A fit of an effect with its size.
-pub(super) struct Exact<'a, L> {
+pub(super) struct ExactFit<'a, L> {
     pub candidate: usize,
     pub effect_size: f64,
     /// Standard error of it.
     pub error: f64,
-    pub fit: Fit<'a, L>,
+    pub fit: SceneFit<'a, L>,
     /// Of each pixel, nats.
     pub left_out: Vec<f64>,
-    pub predicted: Vec<Predicted>,
+    pub predicted: Vec<PixelPrediction>,
 }
 
-impl<'a, L: FreeScene> Fit<'a, L> {
-    /// Another sensor, which the light follows where that is nearer to what is measured than light that does
-    /// not; `columns`: what was predicted before, and what the sensor's changes by `steps` change of it.
-    pub(super) fn follow(
+impl<'a, L: FreeScene> SceneFit<'a, L> {
+    /// Changes the sensor to `trial`. The light takes a step with it where that lowers the misfit. `columns`:
+    /// prediction before, and its change by the sensor's `steps`.
+    pub(super) fn follow_trial(
         &mut self,
         trial: Trial,
-        (predicted, columns): &(Vec<Predicted>, Vec<Vec<f32>>),
+        (predicted, columns): &(Vec<PixelPrediction>, Vec<Vec<f32>>),
         steps: &[f64],
     ) -> Result<(), String> {
         let before = self.light.objective(predicted);
         let still = self.light.clone();
-        self.light.follow(predicted, columns, steps);
+        self.light.step_with_effects(predicted, columns, steps);
         self.apply(trial);
         self.predict()?;
         let moved = self.light.objective(&self.predicted()?);
@@ -57,14 +57,14 @@ impl<'a, L: FreeScene> Fit<'a, L> {
         Ok(())
     }
 
-    /// Light and size of an effect in turn; effects that are applied before keep their sizes.
-    /// `corrections`: so many, and more where what is left still changes.
+    /// Estimates light and effect size alternately; effects applied before keep their sizes. `corrections`:
+    /// least number of corrections; more follow while the misfit changes.
     pub(super) fn exact(
         &self,
         candidate: usize,
         begin: f64,
         corrections: usize,
-    ) -> Result<Exact<'a, L>, String> {
+    ) -> Result<ExactFit<'a, L>, String> {
         let is_switch = CANDIDATES[candidate].signs == Signs::Switch;
         let (mut effect_size, mut error) = (0.0, 0.0);
         let mut next = if is_switch { 1.0 } else { bounded(candidate, begin) };
@@ -72,18 +72,18 @@ impl<'a, L: FreeScene> Fit<'a, L> {
         let mut fit = self.clone();
         let mut last: Option<f64> = None;
         let mut left = f64::INFINITY;
-        let mut column = if L::IS_ONE { fit.score(&[candidate], None)?.column } else { None };
+        let mut column = if L::IS_ONE { fit.score_effects(&[candidate], None)?.column } else { None };
         let most = if L::IS_ONE { corrections.max(MOST_CORRECTIONS) } else { corrections };
         for turn in 0..most {
-            let trial = self.with(candidate, next);
+            let trial = self.trial_with(candidate, next);
             match column.take() {
-                Some(column) => fit.follow(trial, &column, &[next - effect_size])?,
+                Some(column) => fit.follow_trial(trial, &column, &[next - effect_size])?,
                 None => fit.apply(trial),
             }
             effect_size = next;
             fit.applied = self.applied.clone();
             fit.applied.push((candidate, effect_size));
-            fit.settle(self.ground.steps)?;
+            fit.newton_rounds(self.ground.steps)?;
             if is_still || turn + 1 == most {
                 break;
             }
@@ -94,7 +94,7 @@ impl<'a, L: FreeScene> Fit<'a, L> {
                     break;
                 }
             }
-            let scored = fit.score(&[candidate], None)?;
+            let scored = fit.score_effects(&[candidate], None)?;
             if let Some(step) = scored.sizes[0] {
                 let most = 1.0 + effect_size.abs();
                 let falls = last.filter(|_| L::IS_ONE).map_or(0.0, |last| (step / last).clamp(0.0, SLOWEST));
@@ -106,7 +106,7 @@ impl<'a, L: FreeScene> Fit<'a, L> {
             }
             column = scored.column.filter(|_| L::IS_ONE);
         }
-        Exact::of(candidate, (effect_size, error), fit)
+        ExactFit::from_fit(candidate, (effect_size, error), fit)
     }
 }
 
@@ -117,21 +117,21 @@ pub(super) fn bounded(candidate: usize, effect_size: f64) -> f64 {
     effect_size.clamp(least, most)
 }
 
-impl<'a, L: FreeScene> Exact<'a, L> {
-    /// A fit as it stands, with the effect's size and its standard error.
-    pub(super) fn of(
+impl<'a, L: FreeScene> ExactFit<'a, L> {
+    /// The current fit with the effect's size and its standard error.
+    pub(super) fn from_fit(
         candidate: usize,
         (effect_size, error): (f64, f64),
-        mut fit: Fit<'a, L>,
-    ) -> Result<Exact<'a, L>, String> {
+        mut fit: SceneFit<'a, L>,
+    ) -> Result<ExactFit<'a, L>, String> {
         let predicted = fit.predicted()?;
         let left_out = fit.light.left_out(&predicted);
         fit.release();
-        Ok(Exact { candidate, effect_size, error, fit, left_out, predicted })
+        Ok(ExactFit { candidate, effect_size, error, fit, left_out, predicted })
     }
 
     /// Takes the place of a first size and gain.
-    pub(super) fn replace(&self, one: &mut Ranked, level: &Level, ground: &Ground<'_, L>) {
+    pub(super) fn replace(&self, one: &mut RankedEffect, level: &BaseFit, ground: &FitData<'_, L>) {
         let gains: Vec<f64> = self
             .left_out
             .iter()

@@ -1,12 +1,12 @@
-//! Light as a sensor sees it, and rounds of light.
+//! Predicts events and frames of light through a sensor, and runs rounds of the light's estimate.
 
-use super::super::prepared::Prepared;
-use super::super::{Around, View, events_of, frames_of, median_of};
-use super::own::Own;
-use crate::candidates::{CANDIDATES, Scales, Trial};
+use super::super::prepared::PreparedTrial;
+use super::super::{NeighbourCache, SampleView, events_of, frames_of, median_of};
+use super::own::PixelThresholds;
+use crate::candidates::{CANDIDATES, EffectScales, Trial};
 use photocurrent_scene::case::Case;
-use photocurrent_scene::free::{FreeScene, Predicted, PredictedEvent, PredictedFrame};
-use photocurrent_scene::light::Light;
+use photocurrent_scene::free::{FreeScene, PixelPrediction, PredictedEvent, PredictedFrame};
+use photocurrent_scene::light::LogLight;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::statistics::MEDIAN_NORMAL;
 use photocurrent_sensor::conditional::{Conditional, Look, Quiet, Track, conditional, frame_values};
@@ -14,7 +14,7 @@ use photocurrent_sensor::map::{MapFrame, PixelEvent};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Light is predicted this often, ns; a knot every so many.
+/// Step of the predicted light, ns; and its number of steps per knot.
 pub(super) const STEP_NS: i64 = 100_000;
 /// Events this soon after the begin have no reference that is known, ns.
 const SETTLING_NS: i64 = 2_000_000;
@@ -22,20 +22,19 @@ const SETTLING_NS: i64 = 2_000_000;
 /// only so long before it.
 const QUIET_NS: i64 = 500_000;
 const SOON_NS: i64 = 1_000_000;
-/// And where it comes this near, as a share of a threshold.
+/// Largest distance to a threshold, as a share of it, at which an instant without an event is used.
 const NEAR: f64 = 0.2;
 /// Noise is a share of thresholds, which are at least this share of the stated ones.
 const LEAST_THRESHOLD: f64 = 0.1;
-/// Of a gain so many standard errors are no sign of anything: a convention; the decision is calibrated on
-/// what is left.
+/// Standard errors that are subtracted from a gain: a convention; the decision is calibrated on the rest.
 pub(super) const BY_CHANCE: f64 = 2.0;
 
-/// What stays the same from fit to fit.
-pub(super) struct Ground<'a, L> {
+/// Data that all fits share: pixels, events and settings.
+pub(super) struct FitData<'a, L> {
     pub case: &'a Case,
     pub nominal: &'a Nominal,
-    pub scales: &'a Scales,
-    /// Of each pixel whose light is estimated: numbers of its events that count.
+    pub scales: &'a EffectScales,
+    /// Indices of the evaluated events of each estimated pixel.
     pub events: Vec<Vec<usize>>,
     /// And of its frames, with about how bright each is, DN above black.
     frames: Vec<Vec<(usize, f64)>>,
@@ -56,43 +55,43 @@ struct QuietInstant {
     before: i8,
 }
 
-/// What a sensor makes of a pixel's measurements, in the order of [`Ground`].
+/// Predicted measurements of a pixel, in the order of [`FitData`].
 #[derive(Clone, Debug, Default)]
-pub(super) struct Rows {
+pub(super) struct PixelRows {
     pub excess: Vec<f64>,
     /// In the direction of the event, ln/s.
     pub slope_per_s: Vec<f64>,
     pub dn: Vec<f64>,
-    /// By how much the voltage lies beyond the ON threshold, and beyond the OFF threshold, where no event
-    /// fired, natural-log units; minus infinity while the pixel is held.
+    /// Excess of the voltage over the ON threshold, and over the OFF threshold, at instants without an event,
+    /// natural-log units; minus infinity while the pixel is held.
     pub quiet: Vec<[f64; 2]>,
 }
 
-impl<'a, L: FreeScene> Ground<'a, L> {
-    /// On a scene as it begins; `keeps`: events of a pixel at an instant that may count; `with_quiet`: do
-    /// instants without an event?
+impl<'a, L: FreeScene> FitData<'a, L> {
+    /// From an initial scene. `keeps`: may an event of a pixel at an instant be evaluated? `with_quiet`: are
+    /// instants without an event used?
     pub(super) fn new(
         case: &'a Case,
         nominal: &'a Nominal,
-        scales: &'a Scales,
+        scales: &'a EffectScales,
         begin: L,
         keeps: impl Fn(usize, i64) -> bool + Sync,
         (steps, with_quiet): (usize, bool),
-    ) -> Result<Ground<'a, L>, String> {
+    ) -> Result<FitData<'a, L>, String> {
         let (events, frames, quiet) = (Vec::new(), Vec::new(), Vec::new());
-        let mut ground = Ground { case, nominal, scales, events, frames, quiet, steps, begin };
-        let stated = Prepared::new(case, &Trial::stated(nominal))?;
+        let mut ground = FitData { case, nominal, scales, events, frames, quiet, steps, begin };
+        let stated = PreparedTrial::new(case, &Trial::nominal(nominal))?;
         let light = ground.begin.light(case);
         let pixels = ground.begin.pixels().to_vec();
-        let view = View { case, light: &light, pixels: Vec::new(), is_known: true };
+        let view = SampleView { case, light: &light, pixels: Vec::new(), is_known: true };
         let end_ns = case.span.1 - 3 * STEP_NS;
         let instants: Vec<i64> = (0..light.count).map(|k| light.instant(k)).collect();
         let counted = |pixel: &u32| -> (Vec<usize>, Vec<usize>) {
             let pixel = *pixel as usize;
             let frames = frames_of(case, nominal, pixel);
-            let mut through = Through::new(&view, &instants, pixel, frames.clone(), Vec::new());
-            let out = through.see(&stated);
-            let events = case.events.of(pixel);
+            let mut through = PixelResponse::new(&view, &instants, pixel, frames.clone(), Vec::new());
+            let out = through.evaluate(&stated);
+            let events = case.events.of_pixel(pixel);
             let counts = |k: &usize| {
                 out.is_armed[*k]
                     && out.is_armed[k - 1]
@@ -175,15 +174,14 @@ impl<'a, L: FreeScene> Ground<'a, L> {
         self.nominal.threshold_noise / self.scales.threshold
     }
 
-    /// What of a median miss, as a share of a threshold, is more than the noise of thresholds that the
-    /// description states.
+    /// Part of a median misfit, as a share of a threshold, above the stated threshold noise.
     pub(super) fn beyond_stated(&self, left: f64) -> f64 {
         let stated = MEDIAN_NORMAL * self.stated_noise();
         libm::sqrt(f64::max(left * left - stated * stated, 0.0))
     }
 
     /// Median slope of the voltage at events, ln/s.
-    pub(super) fn slope_per_s(&self, fit: &Fit<'_, L>) -> Result<f64, String> {
+    pub(super) fn slope_per_s(&self, fit: &SceneFit<'_, L>) -> Result<f64, String> {
         let rows = fit.rows(&[fit.prepared(&fit.trial)?], &fit.prediction()?.light);
         let mut slopes: Vec<f64> =
             rows.iter().flatten().flat_map(|of| of.slope_per_s.iter().map(|slope| slope.abs())).collect();
@@ -192,32 +190,32 @@ impl<'a, L: FreeScene> Ground<'a, L> {
 }
 
 /// A pixel of a view, ready to be seen through one sensor after another.
-struct Through<'a> {
-    view: &'a View<'a>,
+struct PixelResponse<'a> {
+    view: &'a SampleView<'a>,
     instants: &'a [i64],
     pixel: usize,
     track: Track,
     events: Vec<PixelEvent>,
     frames: Vec<MapFrame>,
     quiet_ns: Vec<i64>,
-    around: Around,
+    around: NeighbourCache,
     out: Conditional,
 }
 
-impl<'a> Through<'a> {
+impl<'a> PixelResponse<'a> {
     fn new(
-        view: &'a View<'a>,
+        view: &'a SampleView<'a>,
         instants: &'a [i64],
         pixel: usize,
         frames: Vec<MapFrame>,
         quiet_ns: Vec<i64>,
-    ) -> Through<'a> {
+    ) -> PixelResponse<'a> {
         let mut log: Vec<f64> = view.light.log[pixel].iter().map(|u| f64::from(*u)).collect();
         // A step that leads off the picture explains no event, and is taken back.
         if log.is_empty() {
             log = vec![0.0; instants.len()];
         }
-        Through {
+        PixelResponse {
             view,
             instants,
             pixel,
@@ -225,17 +223,17 @@ impl<'a> Through<'a> {
             events: events_of(view.case, pixel),
             frames,
             quiet_ns,
-            around: Around::default(),
+            around: NeighbourCache::default(),
             out: Conditional::default(),
         }
     }
 
     /// Its events and frame values.
-    fn see(&mut self, prepared: &Prepared) -> &Conditional {
+    fn evaluate(&mut self, prepared: &PreparedTrial) -> &Conditional {
         let (view, pixel) = (self.view, self.pixel);
         let seen = prepared
             .kernel()
-            .map(|kernel| view.mixed(kernel, prepared, pixel, self.instants, &mut self.around));
+            .map(|kernel| view.mixed_log_light(kernel, prepared, pixel, self.instants, &mut self.around));
         let look = Look {
             site: view.case.site(pixel, 0),
             track: &self.track,
@@ -249,7 +247,7 @@ impl<'a> Through<'a> {
     }
 
     /// Its frame values alone.
-    fn see_frames(&mut self, prepared: &Prepared) -> &Conditional {
+    fn see_frames(&mut self, prepared: &PreparedTrial) -> &Conditional {
         let look = Look {
             site: self.view.case.site(self.pixel, 0),
             track: &self.track,
@@ -263,8 +261,8 @@ impl<'a> Through<'a> {
     }
 }
 
-/// By how much the voltage lies beyond the ON threshold and beyond the OFF threshold.
-fn beyond(quiet: &Quiet) -> [f64; 2] {
+/// Excess of the voltage over the ON threshold and over the OFF threshold, natural-log units.
+fn threshold_excess(quiet: &Quiet) -> [f64; 2] {
     if !quiet.is_armed {
         return [f64::NEG_INFINITY; 2];
     }
@@ -273,7 +271,7 @@ fn beyond(quiet: &Quiet) -> [f64; 2] {
 
 /// Instants of a pixel without an event.
 fn quiet_instants(case: &Case, nominal: &Nominal, pixel: usize) -> Vec<QuietInstant> {
-    let events = case.events.of(pixel);
+    let events = case.events.of_pixel(pixel);
     let mut found = Vec::new();
     for (after, event) in events.iter().enumerate() {
         if event.t_in_ns <= case.span.0 + SETTLING_NS {
@@ -294,28 +292,28 @@ fn quiet_instants(case: &Case, nominal: &Nominal, pixel: usize) -> Vec<QuietInst
 
 /// Light of the pixels under a sensor.
 #[derive(Clone)]
-pub(super) struct Fit<'a, L> {
-    pub ground: &'a Ground<'a, L>,
+pub(super) struct SceneFit<'a, L> {
+    pub ground: &'a FitData<'a, L>,
     pub trial: Trial,
     pub light: L,
     /// Effects that the trial has beyond the stated ones, with their sizes.
     pub applied: Vec<(usize, f64)>,
     /// Thresholds of each pixel's own, where these are estimated.
-    pub own: Option<Own>,
+    pub own: Option<PixelThresholds>,
     /// Kept while neither light nor sensor change.
-    pub current: Option<Arc<Prediction>>,
+    pub current: Option<Arc<SensorPrediction>>,
 }
 
-/// What a sensor sees of a light, with thresholds that are the same in all pixels.
-pub(super) struct Prediction {
-    pub light: Light,
-    predicted: Vec<Predicted>,
+/// A sensor's prediction for a light, with the same thresholds in all pixels.
+pub(super) struct SensorPrediction {
+    pub light: LogLight,
+    predicted: Vec<PixelPrediction>,
 }
 
-impl<'a, L: FreeScene> Fit<'a, L> {
-    pub(super) fn begin(ground: &'a Ground<'a, L>, trial: &Trial) -> Fit<'a, L> {
+impl<'a, L: FreeScene> SceneFit<'a, L> {
+    pub(super) fn new(ground: &'a FitData<'a, L>, trial: &Trial) -> SceneFit<'a, L> {
         let light = ground.begin.clone();
-        Fit { ground, trial: trial.clone(), light, applied: Vec::new(), own: None, current: None }
+        SceneFit { ground, trial: trial.clone(), light, applied: Vec::new(), own: None, current: None }
     }
 
     /// Takes another sensor.
@@ -324,56 +322,56 @@ impl<'a, L: FreeScene> Fit<'a, L> {
         self.current = None;
     }
 
-    /// Gives back room that can be filled again.
+    /// Frees buffers that can be recomputed.
     pub(super) fn release(&mut self) {
         self.light.release();
         self.current = None;
     }
 
-    /// What the fit's own sensor sees of the light.
-    pub(super) fn prediction(&self) -> Result<Arc<Prediction>, String> {
+    /// Prediction of the fit's own sensor.
+    pub(super) fn prediction(&self) -> Result<Arc<SensorPrediction>, String> {
         if let Some(prediction) = &self.current {
             return Ok(prediction.clone());
         }
         let light = self.light.light(self.ground.case);
         let prepared = self.prepared(&self.trial)?;
         let of = |place: usize, out: &Conditional| self.ground.predicted(place, &self.light, out);
-        let predicted = self.through(&[prepared], &light, of).pop().unwrap_or_default();
-        Ok(Arc::new(Prediction { light, predicted }))
+        let predicted = self.map_pixels(&[prepared], &light, of).pop().unwrap_or_default();
+        Ok(Arc::new(SensorPrediction { light, predicted }))
     }
 
     /// The same, and it is kept until light or sensor change.
-    pub(super) fn predict(&mut self) -> Result<Arc<Prediction>, String> {
+    pub(super) fn predict(&mut self) -> Result<Arc<SensorPrediction>, String> {
         let prediction = self.prediction()?;
         self.current = Some(prediction.clone());
         Ok(prediction)
     }
 
-    /// What sensors make of all pixels on a light: [sensor][place].
-    pub(super) fn rows(&self, prepared: &[Prepared], light: &Light) -> Vec<Vec<Rows>> {
-        self.through(prepared, light, |place, out| self.ground.rows(place, &self.light, out))
+    /// Predictions of all pixels by several sensors: [sensor][place].
+    pub(super) fn rows(&self, prepared: &[PreparedTrial], light: &LogLight) -> Vec<Vec<PixelRows>> {
+        self.map_pixels(prepared, light, |place, out| self.ground.rows(place, &self.light, out))
     }
 
-    /// `of` what sensors make of each pixel on a light: [sensor][place].
-    fn through<T: Send>(
+    /// Maps the predictions of each pixel with `of`: [sensor][place].
+    fn map_pixels<T: Send>(
         &self,
-        prepared: &[Prepared],
-        light: &Light,
+        prepared: &[PreparedTrial],
+        light: &LogLight,
         of: impl Fn(usize, &Conditional) -> T + Sync,
     ) -> Vec<Vec<T>> {
-        let Ground { case, nominal, .. } = *self.ground;
-        let view = View { case, light, pixels: Vec::new(), is_known: true };
+        let FitData { case, nominal, .. } = *self.ground;
+        let view = SampleView { case, light, pixels: Vec::new(), is_known: true };
         let instants: Vec<i64> = (0..light.count).map(|k| light.instant(k)).collect();
         let of_pixel = |(place, pixel): (usize, &u32)| -> Vec<T> {
             let frames = frames_of(case, nominal, *pixel as usize);
             let quiet_ns: Vec<i64> = self.ground.quiet[place].iter().map(|instant| instant.t_ns).collect();
             let is_of_frames = quiet_ns.is_empty() && self.ground.events[place].is_empty();
-            let mut through = Through::new(&view, &instants, *pixel as usize, frames, quiet_ns);
+            let mut through = PixelResponse::new(&view, &instants, *pixel as usize, frames, quiet_ns);
             prepared
                 .iter()
                 .map(|prepared| match is_of_frames {
                     true => of(place, through.see_frames(prepared)),
-                    false => of(place, through.see(prepared)),
+                    false => of(place, through.evaluate(prepared)),
                 })
                 .collect()
         };
@@ -386,12 +384,12 @@ impl<'a, L: FreeScene> Fit<'a, L> {
     }
 
     /// A sensor, ready to be applied.
-    pub(super) fn prepared(&self, trial: &Trial) -> Result<Prepared, String> {
-        Prepared::new(self.ground.case, trial)
+    pub(super) fn prepared(&self, trial: &Trial) -> Result<PreparedTrial, String> {
+        PreparedTrial::new(self.ground.case, trial)
     }
 
-    /// What the fit's own sensor makes of all pixels, with what a round needs.
-    pub(super) fn predicted(&self) -> Result<Vec<Predicted>, String> {
+    /// Predictions of all pixels by the fit's own sensor, with the derivatives of a round.
+    pub(super) fn predicted(&self) -> Result<Vec<PixelPrediction>, String> {
         let mut predicted = self.prediction()?.predicted.clone();
         if let Some(own) = &self.own {
             own.apply(&mut predicted);
@@ -399,9 +397,9 @@ impl<'a, L: FreeScene> Fit<'a, L> {
         Ok(predicted)
     }
 
-    /// The same with thresholds of each pixel's own as what is predicted has them, where they are estimated;
-    /// the light is about to change.
-    fn predicted_anew(&mut self) -> Result<Vec<Predicted>, String> {
+    /// The same with each pixel's own thresholds re-estimated, where they are free; for a light that is about
+    /// to change.
+    fn predicted_anew(&mut self) -> Result<Vec<PixelPrediction>, String> {
         let prediction = self.prediction()?;
         self.current = None;
         let mut predicted = Arc::try_unwrap(prediction)
@@ -412,11 +410,11 @@ impl<'a, L: FreeScene> Fit<'a, L> {
         Ok(predicted)
     }
 
-    /// So many rounds of light.
+    /// Runs `count` rounds of the light's estimate.
     pub(super) fn rounds(&mut self, count: usize) -> Result<(), String> {
         for _ in 0..count {
             let predicted = self.predicted_anew()?;
-            self.light.round(&predicted);
+            self.light.newton_and_noise(&predicted);
             if self.light.has_settled() {
                 break;
             }
@@ -428,7 +426,7 @@ impl<'a, L: FreeScene> Fit<'a, L> {
     fn shorten(&mut self) -> Result<(), String> {
         if L::IS_ONE {
             self.predict()?;
-            while self.light.back(&self.predicted()?) {
+            while self.light.shorten_step(&self.predicted()?) {
                 self.current = None;
                 self.predict()?;
             }
@@ -436,35 +434,36 @@ impl<'a, L: FreeScene> Fit<'a, L> {
         Ok(())
     }
 
-    /// Rounds of which only the last changes prior and noise.
-    pub(super) fn settle(&mut self, count: usize) -> Result<(), String> {
+    /// Runs Newton steps; only the last one also updates prior and noise.
+    pub(super) fn newton_rounds(&mut self, count: usize) -> Result<(), String> {
         for _ in 1..count {
             let predicted = self.predicted_anew()?;
-            self.light.settle(&predicted);
+            self.light.newton_step(&predicted);
         }
         self.rounds(1)
     }
 
-    /// The same so many times: what an effect's exact fit takes.
+    /// Runs `times` such rounds, as an exact fit needs.
     pub(super) fn settled(&mut self, times: usize) -> Result<(), String> {
-        (0..times).try_for_each(|_| self.settle(self.ground.steps))
+        (0..times).try_for_each(|_| self.newton_rounds(self.ground.steps))
     }
 
-    /// What events miss their thresholds by, a median share of them.
-    pub(super) fn left(&self) -> Result<f64, String> {
-        Ok(self.light.left(&self.predicted()?))
+    /// Median misfit of the events, as a share of their thresholds.
+    pub(super) fn median_event_misfit(&self) -> Result<f64, String> {
+        Ok(self.light.median_event_misfit(&self.predicted()?))
     }
 
-    /// The part of [`Fit::left`] that is wrong with the scene: what events of other pixels at the same place
-    /// of it share. All of it where too few do, or no two pixels see the same.
-    pub(super) fn wrong(&self) -> Result<f64, String> {
+    /// The part of [`SceneFit::median_event_misfit`] that is due to the scene: the part in common with events
+    /// of other pixels at the same place of it. All of it where too few share a place.
+    pub(super) fn scene_misfit(&self) -> Result<f64, String> {
         let predicted = self.predicted()?;
-        Ok(self.light.left(&predicted) * libm::sqrt(1.0 - self.white(&predicted).unwrap_or(0.0)))
+        Ok(self.light.median_event_misfit(&predicted)
+            * libm::sqrt(1.0 - self.white_share(&predicted).unwrap_or(0.0)))
     }
 
-    /// The trial with an effect of a size beyond those that it has.
-    pub(super) fn with(&self, candidate: usize, effect_size: f64) -> Trial {
-        self.trial.and(&CANDIDATES[candidate], effect_size, self.ground.scales)
+    /// The trial with one more effect of a given size.
+    pub(super) fn trial_with(&self, candidate: usize, effect_size: f64) -> Trial {
+        self.trial.with_effect(&CANDIDATES[candidate], effect_size, self.ground.scales)
     }
 
     /// The size of an effect that the trial has; 0 where it has none.
@@ -473,21 +472,21 @@ impl<'a, L: FreeScene> Fit<'a, L> {
     }
 }
 
-impl<L: FreeScene> Ground<'_, L> {
-    fn rows(&self, place: usize, light: &L, out: &Conditional) -> Rows {
-        let events = self.case.events.of(light.pixels()[place] as usize);
+impl<L: FreeScene> FitData<'_, L> {
+    fn rows(&self, place: usize, light: &L, out: &Conditional) -> PixelRows {
+        let events = self.case.events.of_pixel(light.pixels()[place] as usize);
         let slope = |k: &usize| f64::from(events[*k].polarity) * out.slope_per_s[*k];
-        Rows {
+        PixelRows {
             excess: self.events[place].iter().map(|k| out.excess[*k]).collect(),
             slope_per_s: self.events[place].iter().map(slope).collect(),
             dn: self.frames[place].iter().map(|(l, _)| out.dn[*l]).collect(),
-            quiet: out.quiet.iter().map(beyond).collect(),
+            quiet: out.quiet.iter().map(threshold_excess).collect(),
         }
     }
 
-    /// The instants of a pixel without an event that bear on its light: of each stretch between events and
-    /// each polarity that at which an event is nearest, and only where it is near.
-    pub(super) fn silent(&self, place: usize, rows: &Rows) -> Vec<(usize, usize)> {
+    /// Instants without an event that constrain a pixel's light: in each interval between events and for each
+    /// polarity the one nearest to a threshold, where it is near.
+    pub(super) fn no_event_instants(&self, place: usize, rows: &PixelRows) -> Vec<(usize, usize)> {
         let threshold = self.scales.threshold;
         let instants = &self.quiet[place];
         let mut chosen: Vec<(usize, usize)> = Vec::new();
@@ -506,9 +505,9 @@ impl<L: FreeScene> Ground<'_, L> {
         chosen
     }
 
-    fn predicted(&self, place: usize, light: &L, out: &Conditional) -> Predicted {
+    fn predicted(&self, place: usize, light: &L, out: &Conditional) -> PixelPrediction {
         let pixel = light.pixels()[place] as usize;
-        let (events, frames) = (self.case.events.of(pixel), frames_of(self.case, self.nominal, pixel));
+        let (events, frames) = (self.case.events.of_pixel(pixel), frames_of(self.case, self.nominal, pixel));
         let least = LEAST_THRESHOLD * self.scales.threshold;
         let event = |&k: &usize| PredictedEvent {
             t_ns: out.fired_ns[k],
@@ -540,12 +539,12 @@ impl<L: FreeScene> Ground<'_, L> {
             residual_dn: out.dn[l] - frames[l].dn,
             signal_dn,
         };
-        Predicted {
+        PixelPrediction {
             low_pass: out.low_pass,
             gain: self.nominal.number.gain,
             frames: self.frames[place].iter().map(frame).collect(),
             events: self.events[place].iter().map(event).collect(),
-            quiet: self.silent(place, &rows).into_iter().map(quiet).collect(),
+            quiet: self.no_event_instants(place, &rows).into_iter().map(quiet).collect(),
         }
     }
 }

@@ -1,13 +1,13 @@
-//! Thresholds that differ from pixel to pixel, each pixel's and polarity's estimated next to the scene.
+//! Thresholds per pixel and polarity, estimated with the scene.
 //!
-//! With m what a threshold is larger by, as a share of it, an event's excess over its signed threshold is m
-//! and noise. The mean over the events of a pixel and polarity, weighted by Student's t and shrunk by the
-//! variance s^2 that m has over pixels, is subtracted; s^2 is estimated by expectation and maximisation, and
-//! what all pixels share is none of it, as far as it is more than the mean of so many pixels by chance. Scene
-//! and thresholds are estimated in turn.
+//! Let m be the relative deviation of a threshold. An event's excess over its signed threshold is then m plus
+//! noise. The mean over a pixel's events of one polarity, with Student-t weights and shrunk by the variance
+//! s^2 of m over pixels, is subtracted. s^2 is estimated by expectation maximisation. The common part of all
+//! pixels is excluded, as far as it exceeds the standard error of their mean. Scene and thresholds are
+//! estimated alternately.
 
 use super::super::fit::EventNoise;
-use photocurrent_scene::free::{Predicted, PredictedEvent};
+use photocurrent_scene::free::{PixelPrediction, PredictedEvent};
 use photocurrent_scene::statistics::NU;
 
 /// Least standard deviation of thresholds over pixels, as a share of them.
@@ -16,32 +16,32 @@ const LEAST: f64 = 1e-4;
 const LEAST_NOISE: f64 = 1e-3;
 /// Rounds of weights and sizes.
 const ROUNDS: usize = 4;
-/// A mean of all pixels within so many standard errors of zero is that of their differences.
+/// Standard errors within which the mean of all pixels counts as zero.
 const BY_CHANCE: f64 = 2.0;
 /// Fewer pixels than this have no differences.
 const FEWEST: usize = 20;
 
-/// How far thresholds differ from pixel to pixel.
+/// Spread of thresholds over pixels.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Own {
+pub(super) struct PixelThresholds {
     /// Standard deviation over pixels, as a share of thresholds.
     pub spread: f64,
 }
 
 /// Events of one pixel and polarity.
 #[derive(Clone, Copy, Debug, Default)]
-struct Group {
-    /// Sum of weights, and of weights times what events are off by.
+struct PolarityGroup {
+    /// Sum of weights, and of weighted excesses.
     weight: f64,
     sum: f64,
-    /// What its threshold is larger by, as a share of it.
+    /// Relative deviation of its threshold.
     size: f64,
-    /// What all pixels share, which is in none of these.
+    /// Common part of all pixels, excluded from these.
     common: f64,
 }
 
-/// What an event is off by in its own direction, as a share of its threshold.
-fn share(event: &PredictedEvent) -> f64 {
+/// Excess of an event in its own direction, as a share of its threshold.
+fn threshold_share(event: &PredictedEvent) -> f64 {
     event.polarity * event.excess / event.threshold
 }
 
@@ -49,31 +49,35 @@ fn side(event: &PredictedEvent) -> usize {
     usize::from(event.polarity < 0.0)
 }
 
-impl Own {
-    /// Estimates the spread anew, and takes each pixel's own thresholds off what is predicted, of each
-    /// event as the others of its pixel have them.
-    pub(super) fn estimate(&mut self, predicted: &mut [Predicted]) {
+impl PixelThresholds {
+    /// Re-estimates the spread, and subtracts each pixel's thresholds from the prediction, for each event
+    /// with those estimated from the pixel's other events.
+    pub(super) fn estimate(&mut self, predicted: &mut [PixelPrediction]) {
         let (groups, weights) = self.groups(predicted);
-        let seen: Vec<&Group> = groups.iter().flatten().filter(|group| group.weight > 0.0).collect();
+        let seen: Vec<&PolarityGroup> = groups.iter().flatten().filter(|group| group.weight > 0.0).collect();
         if seen.len() < FEWEST {
             return;
         }
         let precision = 1.0 / (self.spread * self.spread);
-        let of = |group: &&Group| group.size * group.size + 1.0 / (group.weight + precision);
+        let of = |group: &&PolarityGroup| group.size * group.size + 1.0 / (group.weight + precision);
         let variance = seen.iter().map(of).sum::<f64>() / seen.len() as f64;
         self.subtract((&groups, &weights), predicted);
         self.spread = variance.sqrt().max(LEAST);
     }
 
-    /// Takes each pixel's own thresholds off what is predicted, with the spread as it is.
-    pub(super) fn apply(&self, predicted: &mut [Predicted]) {
+    /// Subtracts each pixel's thresholds from the prediction, with the present spread.
+    pub(super) fn apply(&self, predicted: &mut [PixelPrediction]) {
         let (groups, weights) = self.groups(predicted);
         if groups.iter().flatten().filter(|group| group.weight > 0.0).count() >= FEWEST {
             self.subtract((&groups, &weights), predicted);
         }
     }
 
-    fn subtract(&self, (groups, weights): (&[[Group; 2]], &[f64]), predicted: &mut [Predicted]) {
+    fn subtract(
+        &self,
+        (groups, weights): (&[[PolarityGroup; 2]], &[f64]),
+        predicted: &mut [PixelPrediction],
+    ) {
         let precision = 1.0 / (self.spread * self.spread);
         let mut weights = weights.iter();
         for (of, groups) in predicted.iter_mut().zip(groups) {
@@ -82,39 +86,39 @@ impl Own {
                 let own = weights.next().copied().unwrap_or(0.0);
                 // An event is no evidence of what it is itself measured against: a pixel with few would have
                 // thresholds that explain them whatever the scene is.
-                let sum = group.sum - own * (share(event) - group.common);
+                let sum = group.sum - own * (threshold_share(event) - group.common);
                 let size = sum / (group.weight - own + precision);
                 event.excess -= event.polarity * event.threshold * size;
             }
         }
     }
 
-    /// What is known of each pixel's thresholds, [place][ON, OFF], and the weight of every event.
-    fn groups(&self, predicted: &[Predicted]) -> (Vec<[Group; 2]>, Vec<f64>) {
+    /// Sums of each pixel's thresholds, [place][ON, OFF], and the weight of every event.
+    fn groups(&self, predicted: &[PixelPrediction]) -> (Vec<[PolarityGroup; 2]>, Vec<f64>) {
         let events =
             || predicted.iter().enumerate().flat_map(|(n, of)| of.events.iter().map(move |e| (n, e)));
         let slope: Vec<f64> = events().map(|(_, event)| event.slope_per_s / event.threshold).collect();
         let precision = 1.0 / (self.spread * self.spread);
-        let mut groups = vec![[Group::default(); 2]; predicted.len()];
+        let mut groups = vec![[PolarityGroup::default(); 2]; predicted.len()];
         let mut weights = vec![0.0; slope.len()];
         let mut common = [0.0; 2];
         for _ in 0..ROUNDS {
             let left = |(place, event): (usize, &PredictedEvent)| {
-                share(event) - common[side(event)] - groups[place][side(event)].size
+                threshold_share(event) - common[side(event)] - groups[place][side(event)].size
             };
             let left: Vec<f64> = events().map(left).collect();
             let noise = EventNoise::estimate(&left, &slope, LEAST_NOISE);
-            groups.iter_mut().for_each(|group| *group = [Group::default(); 2]);
+            groups.iter_mut().for_each(|group| *group = [PolarityGroup::default(); 2]);
             for (k, (place, event)) in events().enumerate() {
                 let sigma = noise.sigma(slope[k]);
                 let z = left[k] / sigma;
                 weights[k] = (NU + 1.0) / (NU + z * z) / (sigma * sigma);
                 let group = &mut groups[place][side(event)];
                 group.weight += weights[k];
-                group.sum += weights[k] * share(event);
+                group.sum += weights[k] * threshold_share(event);
             }
             for (side, common) in common.iter_mut().enumerate() {
-                *common = self.common(&groups, side);
+                *common = self.common_offset(&groups, side);
             }
             for group in &mut groups {
                 for (group, common) in group.iter_mut().zip(common) {
@@ -127,8 +131,8 @@ impl Own {
         (groups, weights)
     }
 
-    /// What all pixels share of one polarity's thresholds, beyond the mean of so many by chance.
-    fn common(&self, groups: &[[Group; 2]], side: usize) -> f64 {
+    /// Common deviation of one polarity's thresholds, beyond the standard error of the pixels' mean.
+    fn common_offset(&self, groups: &[[PolarityGroup; 2]], side: usize) -> f64 {
         let variance = self.spread * self.spread;
         let (mut sum, mut weight) = (0.0, 0.0);
         for group in groups.iter().map(|group| group[side]).filter(|group| group.weight > 0.0) {
@@ -150,7 +154,7 @@ mod tests {
     use photocurrent_core::random::Random;
 
     /// Pixels with events whose thresholds differ by a standard deviation of `spread`, with noise of 1 %.
-    fn predicted(spread: f64, offset: f64) -> Vec<Predicted> {
+    fn predicted(spread: f64, offset: f64) -> Vec<PixelPrediction> {
         let mut random = Random::new(3, &[]);
         let mut pixel = || {
             let own = [random.normal() * spread, random.normal() * spread];
@@ -165,19 +169,19 @@ mod tests {
                     ..PredictedEvent::default()
                 }
             };
-            Predicted { events: (0..24).map(&mut event).collect(), ..Predicted::default() }
+            PixelPrediction { events: (0..24).map(&mut event).collect(), ..PixelPrediction::default() }
         };
         (0..200).map(|_| pixel()).collect()
     }
 
-    fn root_mean_square(predicted: &[Predicted]) -> f64 {
-        let sizes: Vec<f64> = predicted.iter().flat_map(|of| of.events.iter().map(share)).collect();
+    fn root_mean_square(predicted: &[PixelPrediction]) -> f64 {
+        let sizes: Vec<f64> = predicted.iter().flat_map(|of| of.events.iter().map(threshold_share)).collect();
         (sizes.iter().map(|size| size * size).sum::<f64>() / sizes.len() as f64).sqrt()
     }
 
     #[test]
     fn thresholds_of_pixels_are_found_with_their_spread_and_leave_the_noise() {
-        let mut own = Own { spread: 0.05 };
+        let mut own = PixelThresholds { spread: 0.05 };
         let mut of = predicted(0.03, 0.0);
         (0..3).for_each(|_| own.estimate(&mut of.clone()));
         own.apply(&mut of);
@@ -189,7 +193,7 @@ mod tests {
 
     #[test]
     fn what_all_pixels_share_is_left_to_other_effects() {
-        let (mut own, mut of) = (Own { spread: 0.05 }, predicted(0.0, 0.04));
+        let (mut own, mut of) = (PixelThresholds { spread: 0.05 }, predicted(0.0, 0.04));
         (0..8).for_each(|_| own.estimate(&mut of.clone()));
         own.apply(&mut of);
         assert!(own.spread < 0.004, "{}", own.spread);

@@ -1,19 +1,19 @@
-//! Does a second variable multiply a curve?
+//! Tests whether a second covariate multiplies a curve.
 //!
-//! Cells of both variables are scored as bins are ([`super::binned`]); the best product of one number a bin
-//! of each, by turns, is held against the curve alone.
+//! Cells of both covariates are scored like bins ([`super::binned`]). The best product, one factor per bin of
+//! each, estimated alternately, is compared with the curve alone.
 
-use super::super::laid::{Bins, Laid};
-use super::super::open::{LEAST_IN_BIN, Open, bins, moving};
-use super::binned::{Half, MOVED, On, share_of};
+use super::super::laid::{CovariateBins, CovariateColumns};
+use super::super::open::{CovariateCurve, LEAST_IN_BIN, bins, moving};
+use super::binned::{BinnedHalf, BinnedScene, MOVED, share_of};
 use super::fit::BY_CHANCE;
 use crate::covariates::Covariate;
-use crate::dependence::{Factor, Moved};
+use crate::dependence::{AffectedQuantity, SecondFactor};
 use nalgebra::{DMatrix, DVector};
 use photocurrent_scene::free::FreeScene;
 use rayon::prelude::*;
 
-/// What may multiply a curve.
+/// Covariates that may multiply a curve.
 const SECOND: [Covariate; 9] = [
     Covariate::Polarity,
     Covariate::PreviousPolarity,
@@ -29,31 +29,35 @@ const SECOND: [Covariate; 9] = [
 const BINS: usize = 4;
 /// Turns of both curves.
 const TURNS: usize = 12;
-/// A product gains so much of what its first curve does, at the least: the best of nine always gains a
-/// little. Not calibrated.
+/// Least gain of a product, as a share of its first curve's: the best of nine always gains a little. Not
+/// calibrated.
 const WORTH: f64 = 0.15;
 
 /// A product: first curve, and factors of which the largest is 1.
 #[derive(Clone)]
-struct Product {
+struct CurveProduct {
     first: DVector<f64>,
     second: DVector<f64>,
 }
 
-impl Product {
-    /// The best one, of cells [first][second].
-    fn of(half: &Half, (of_first, of_second): (usize, usize), prior: f64) -> Option<Product> {
+impl CurveProduct {
+    /// The best product for cells [first][second].
+    fn best_of_cells(
+        half: &BinnedHalf,
+        (of_first, of_second): (usize, usize),
+        prior: f64,
+    ) -> Option<CurveProduct> {
         let mut second = DVector::from_element(of_second, 1.0);
         let mut first = DVector::zeros(of_first);
         for _ in 0..TURNS {
             let by = DMatrix::from_fn(of_first * of_second, of_first, |cell, i| {
                 if cell / of_second == i { second[cell % of_second] } else { 0.0 }
             });
-            first = half.through(&by).sizes(prior)?;
+            first = half.project(&by).sizes(prior)?;
             let by = DMatrix::from_fn(of_first * of_second, of_second, |cell, j| {
                 if cell % of_second == j { first[cell / of_second] } else { 0.0 }
             });
-            second = half.through(&by).sizes(1.0)?;
+            second = half.project(&by).sizes(1.0)?;
             let largest = second.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
             if largest == 0.0 {
                 return None;
@@ -61,13 +65,13 @@ impl Product {
             second /= largest;
             first *= largest;
         }
-        Some(Product { first, second })
+        Some(CurveProduct { first, second })
     }
 }
 
-impl<L: FreeScene> On<'_, '_, L> {
+impl<L: FreeScene> BinnedScene<'_, '_, L> {
     /// Multiplies a curve by one over a second variable where that gains more than chance.
-    pub(super) fn multiply(&self, found: &mut Open) {
+    pub(super) fn multiply(&self, found: &mut CovariateCurve) {
         let curve = &found.dependence;
         let laid = |covariate: Covariate| self.observed.laid.iter().find(|laid| laid.covariate == covariate);
         let Some((first, moved)) = laid(curve.covariate)
@@ -104,14 +108,15 @@ impl<L: FreeScene> On<'_, '_, L> {
         found.control_gain += (1.0 - share_of(curve.covariate)) * gain;
     }
 
-    /// The best product of a curve over each of two variables, and what it moves each event by.
+    /// The best product over two covariates, and its change of each event.
     fn product(
         &self,
-        (first, second): (&Laid, &Laid),
-        (moved, prior): (Moved, f64),
-    ) -> Option<(Product, Factor, Vec<f32>)> {
+        (first, second): (&CovariateColumns, &CovariateColumns),
+        (moved, prior): (AffectedQuantity, f64),
+    ) -> Option<(CurveProduct, SecondFactor, Vec<f32>)> {
         let (events, threshold) = (&self.observed.events, self.fit.ground.scales.threshold);
-        let (a, b) = (bins(first), Bins::new(&second.at, BINS, LEAST_IN_BIN, second.covariate.is_class()));
+        let (a, b) =
+            (bins(first), CovariateBins::new(&second.at, BINS, LEAST_IN_BIN, second.covariate.is_class()));
         let (of_first, of_second) = (a.at.len(), b.at.len());
         if of_first < 2 || of_second < 2 {
             return None;
@@ -130,8 +135,8 @@ impl<L: FreeScene> On<'_, '_, L> {
         let of: Vec<&[f32]> = columns.iter().map(|column| &column.of[..]).collect();
         let halves = self.halves(&of, of.len()).pop()?;
         let size = (of_first, of_second);
-        let whole = Product::of(&halves[0].with(&halves[1]), size, prior)?;
-        let half = |n: usize| Product::of(&halves[n], size, prior);
+        let whole = CurveProduct::best_of_cells(&halves[0].plus(&halves[1]), size, prior)?;
+        let half = |n: usize| CurveProduct::best_of_cells(&halves[n], size, prior);
         let sizes = match L::IS_ONE {
             true => [whole.clone(), whole.clone()],
             false => [half(0)?, half(1)?],
@@ -145,7 +150,7 @@ impl<L: FreeScene> On<'_, '_, L> {
         };
         let moves = (0..events.pixel.len()).map(column).collect();
         let by = whole.second.iter().copied().collect();
-        Some((whole, Factor { covariate: second.covariate, at: b.at, by }, moves))
+        Some((whole, SecondFactor { covariate: second.covariate, at: b.at, by }, moves))
     }
 }
 
@@ -160,8 +165,8 @@ mod tests {
         let cells = DVector::from_fn(6, |n, _| first[n / 2] * second[n % 2]);
         let information =
             DMatrix::from_fn(6, 6, |i, j| if i == j { 4e6 } else { 3e5 / (1.0 + i.abs_diff(j) as f64) });
-        let half = Half { score: -(&information * cells), information };
-        let found = Product::of(&half, (3, 2), 0.5).expect("a product");
+        let half = BinnedHalf { score: -(&information * cells), information };
+        let found = CurveProduct::best_of_cells(&half, (3, 2), 0.5).expect("a product");
         let off = |found: &DVector<f64>, expected: &[f64]| {
             found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
         };

@@ -1,20 +1,20 @@
-//! Random effects, on what events that are held out miss their thresholds by.
+//! Random effects, from the misfits of held-out events.
 
-use super::super::Residuals;
-use super::super::chance::Chance;
-use super::super::components::{Ground as OfParts, MISMATCH, white_share};
-use super::super::evidence::Ranked;
+use super::super::EventResiduals;
+use super::super::chance::RandomEffects;
+use super::super::components::{ComponentData as OfParts, MISMATCH, white_share};
+use super::super::evidence::RankedEffect;
 use super::super::fit::EventNoise;
 use super::super::setting::{LEAST_NOISE, LEAST_SPREAD};
 use super::super::table::{OF_PIXELS, probe};
-use super::exact::Exact;
-use super::fit::{Fit, Rows};
-use super::own::Own;
+use super::exact::ExactFit;
+use super::fit::{PixelRows, SceneFit};
+use super::own::PixelThresholds;
 use crate::candidates::{CANDIDATES, Candidate};
-use photocurrent_scene::free::{FreeScene, LEAST_SHARE, Predicted};
+use photocurrent_scene::free::{FreeScene, LEAST_SHARE, PixelPrediction};
 
-/// Thresholds of pixels and the scene are estimated in turn until what is left falls by less than this, so
-/// many times at most.
+/// Thresholds of pixels and the scene are estimated alternately until the misfit falls by less than this
+/// ratio, at most this many times.
 const SETTLED: f64 = 1.1;
 const MOST_TURNS: usize = 12;
 
@@ -26,15 +26,15 @@ pub(super) fn is_mismatch(candidate: usize) -> bool {
 /// Events that are held out, as far as random effects need them.
 #[derive(Default)]
 struct HeldOut {
-    events: Residuals,
+    events: EventResiduals,
     residual: Vec<f64>,
     /// Columns of [`OF_PIXELS`].
     columns: [Vec<f32>; 2],
 }
 
-impl<L: FreeScene> Fit<'_, L> {
-    /// What events that are held out miss their thresholds by.
-    fn held_out(&self, predicted: &[Predicted], rows: &[Vec<Rows>]) -> HeldOut {
+impl<L: FreeScene> SceneFit<'_, L> {
+    /// Misfits of held-out events.
+    fn held_out(&self, predicted: &[PixelPrediction], rows: &[Vec<PixelRows>]) -> HeldOut {
         let mut all = HeldOut::default();
         for (place, of) in predicted.iter().enumerate().filter(|(place, _)| self.ground.is_measured(*place)) {
             for (k, event) in of.events.iter().enumerate() {
@@ -51,9 +51,9 @@ impl<L: FreeScene> Fit<'_, L> {
         all
     }
 
-    /// Share of the squares of what events miss their thresholds by that is noise of single events, by all
-    /// that count, as pairs at one place of the scene are few; none where no two pixels see the same.
-    pub(super) fn white(&self, predicted: &[Predicted]) -> Option<f64> {
+    /// Share of the squared misfits that is noise of single events, from all evaluated events, as few share a
+    /// place; `None` where no two pixels share one.
+    pub(super) fn white_share(&self, predicted: &[PixelPrediction]) -> Option<f64> {
         let (mut pixel, mut polarity, mut residual, mut cells) = (vec![], vec![], vec![], vec![]);
         for (place, of) in predicted.iter().enumerate() {
             let at = self.light.pixels()[place];
@@ -67,14 +67,14 @@ impl<L: FreeScene> Fit<'_, L> {
         Some(white_share((&pixel, &polarity), &residual, &cells))
     }
 
-    /// Random effects, best first, but for those that the description states: what is expected of these is
-    /// not known. None on a scene that no two pixels share.
-    pub(super) fn random(&self) -> Result<Vec<Ranked>, String> {
+    /// Random effects, best first, without those that the description states: their expected size is not
+    /// known. `None` on a scene without shared places.
+    pub(super) fn random(&self) -> Result<Vec<RankedEffect>, String> {
         let (case, nominal, scales) = (self.ground.case, self.ground.nominal, self.ground.scales);
         let mut prepared = vec![self.prepared(&self.trial)?];
         for (n, (id, parameter)) in OF_PIXELS.iter().enumerate() {
             let with = Candidate::number(id, parameter)
-                .map(|candidate| self.with(candidate, self.size_of(candidate) + probe_of(n)));
+                .map(|candidate| self.trial_with(candidate, self.size_of(candidate) + probe_of(n)));
             // One that cannot be combined with what is there has no column.
             prepared.push(
                 self.prepared(with.as_ref().unwrap_or(&self.trial))
@@ -83,14 +83,14 @@ impl<L: FreeScene> Fit<'_, L> {
         }
         let rows = self.rows(&prepared, &self.prediction()?.light);
         let predicted = self.predicted()?;
-        let Some(white) = self.white(&predicted) else { return Ok(Vec::new()) };
+        let Some(white) = self.white_share(&predicted) else { return Ok(Vec::new()) };
         let HeldOut { events, residual, columns } = self.held_out(&predicted, &rows);
         let slopes = &mut events.slope_per_s.clone();
         let slope_per_s = super::super::median_of(slopes);
         // As stated, and as sharp as the scene is: no sharper.
         let a = f64::max(nominal.threshold_noise, LEAST_SHARE * scales.threshold);
         let stamp_s = case.t_resolution_ns as f64 * 1e-9 / libm::sqrt(6.0);
-        let chance = Chance {
+        let chance = RandomEffects {
             case,
             scales,
             nominal,
@@ -99,7 +99,7 @@ impl<L: FreeScene> Fit<'_, L> {
             noise: EventNoise { a, b: stamp_s },
             control: Vec::new(),
         };
-        let (mut found, _) = chance.beyond(&OfParts {
+        let (mut found, _) = chance.rank_beyond_control(&OfParts {
             events: &events,
             residual: &residual,
             columns: [&columns[0], &columns[1]],
@@ -109,7 +109,7 @@ impl<L: FreeScene> Fit<'_, L> {
             least: LEAST_NOISE * scales.threshold,
             least_spread: LEAST_SPREAD,
         });
-        let is_stated = |one: &Ranked| case.sensor.effects.contains_key(CANDIDATES[one.candidate].id);
+        let is_stated = |one: &RankedEffect| case.sensor.effects.contains_key(CANDIDATES[one.candidate].id);
         found.retain(|one| !is_stated(one));
         found.iter_mut().for_each(|one| {
             one.is_material = CANDIDATES[one.candidate].is_material(case, nominal, one.value);
@@ -118,25 +118,25 @@ impl<L: FreeScene> Fit<'_, L> {
     }
 }
 
-impl<'a, L: FreeScene> Fit<'a, L> {
+impl<'a, L: FreeScene> SceneFit<'a, L> {
     /// The scene with thresholds of each pixel's own, `begin` the effect size of their spread to begin with.
     pub(super) fn with_own(
         &self,
         candidate: usize,
         begin: f64,
         corrections: usize,
-    ) -> Result<Exact<'a, L>, String> {
+    ) -> Result<ExactFit<'a, L>, String> {
         let (scales, nominal) = (self.ground.scales, self.ground.nominal);
         let kind = &CANDIDATES[candidate];
         let mut fit = self.clone();
-        fit.own = Some(Own { spread: kind.value(begin, scales, nominal) / scales.threshold });
+        fit.own = Some(PixelThresholds { spread: kind.value(begin, scales, nominal) / scales.threshold });
         let mut before = f64::INFINITY;
         for turn in 0..MOST_TURNS {
             // What is left falls by a factor, and a factor of the normal matrix with it.
             fit.release();
             fit.rounds(1)?;
             fit.settled(1)?;
-            let left = fit.left()?;
+            let left = fit.median_event_misfit()?;
             if turn + 1 >= corrections && before < SETTLED * left {
                 break;
             }
@@ -144,7 +144,7 @@ impl<'a, L: FreeScene> Fit<'a, L> {
         }
         let spread = fit.own.map_or(0.0, |own| own.spread);
         let effect_size = kind.effect_size(spread * scales.threshold, scales, nominal);
-        Exact::of(candidate, (effect_size, 0.0), fit)
+        ExactFit::from_fit(candidate, (effect_size, 0.0), fit)
     }
 }
 

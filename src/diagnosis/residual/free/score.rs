@@ -2,9 +2,9 @@
 
 use super::super::table::probe;
 use super::exact::bounded;
-use super::fit::{Fit, Ground, Rows, STEP_NS};
+use super::fit::{FitData, PixelRows, STEP_NS, SceneFit};
 use crate::candidates::{CANDIDATES, Signs};
-use photocurrent_scene::free::{FreeScene, Predicted, Score};
+use photocurrent_scene::free::{FreeScene, PixelPrediction, Score};
 use photocurrent_scene::pixels::LEAST_RISE;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -14,16 +14,16 @@ const SIDE: u32 = 4;
 /// An effect that the light takes over but for this share is not seen.
 const ABSORBED: f64 = 1e-9;
 
-/// What a sensor makes of all pixels with a step of an effect.
-pub(super) struct Moved {
-    pub rows: Vec<Rows>,
-    /// With a step back, where the effect bends at the size that it has; what stands is that without a step.
-    pub back: Option<Vec<Rows>>,
+/// Predictions of all pixels with a step of an effect.
+pub(super) struct StepColumns {
+    pub rows: Vec<PixelRows>,
+    /// With a step back, where the effect is nonlinear at its size; the base is without a step.
+    pub back: Option<Vec<PixelRows>>,
     pub step: f64,
 }
 
 /// Scores of some effects.
-pub(super) struct Scored {
+pub(super) struct EffectScores {
     /// Numbers in [`CANDIDATES`].
     pub candidates: Vec<usize>,
     /// Best size beyond that which is applied; none where the light takes the effect over.
@@ -32,34 +32,34 @@ pub(super) struct Scored {
     pub information: Vec<f64>,
     /// The same where the light is known.
     pub known: Vec<f64>,
-    /// What that size gains with a step of the light, nats.
+    /// Gain of that size with a step of the light, nats.
     pub gains: Vec<f64>,
     /// Best size over the standard error that differences between places show.
     agreement: Vec<f64>,
-    /// Of one effect alone: its column, and what was predicted there.
-    pub column: Option<(Vec<Predicted>, Vec<Vec<f32>>)>,
+    /// For a single effect: prediction and column.
+    pub column: Option<(Vec<PixelPrediction>, Vec<Vec<f32>>)>,
 }
 
-impl Scored {
-    fn place(&self, candidate: usize) -> Option<usize> {
+impl EffectScores {
+    fn index_of(&self, candidate: usize) -> Option<usize> {
         self.candidates.iter().position(|n| *n == candidate)
     }
 
     /// Best size of an effect.
-    pub(super) fn size(&self, candidate: usize) -> Option<f64> {
-        self.sizes[self.place(candidate)?]
+    pub(super) fn best_size(&self, candidate: usize) -> Option<f64> {
+        self.sizes[self.index_of(candidate)?]
     }
 
     /// How well places agree on it, standard errors.
     pub(super) fn agreement(&self, candidate: usize) -> Option<f64> {
-        Some(self.agreement[self.place(candidate)?])
+        Some(self.agreement[self.index_of(candidate)?])
     }
 }
 
-impl<L: FreeScene> Ground<'_, L> {
-    /// Columns of steps: of each pixel what a step of 1 changes of its rows, in the order of
-    /// [`FreeScene::score`]; `base`: what the sensor makes of all pixels without one.
-    pub(super) fn columns(&self, base: &[Rows], moved: &[Moved]) -> Vec<Vec<f32>> {
+impl<L: FreeScene> FitData<'_, L> {
+    /// Columns of unit steps: change of each pixel's rows, in the order of [`FreeScene::score`]. `base`:
+    /// predictions without a step.
+    pub(super) fn columns(&self, base: &[PixelRows], moved: &[StepColumns]) -> Vec<Vec<f32>> {
         let effects = moved.len();
         let threshold = self.scales.threshold;
         // As in the fit.
@@ -67,10 +67,10 @@ impl<L: FreeScene> Ground<'_, L> {
         let log_slope = |slope: f64| libm::log(f64::max(slope, least));
         let of_pixel = |place: usize| -> Vec<f32> {
             let plain = &base[place];
-            let quiet = self.silent(place, plain);
+            let quiet = self.no_event_instants(place, plain);
             let (frames, events) = (plain.dn.len(), plain.excess.len());
             let mut columns = vec![0.0; (frames + 2 * events + quiet.len()) * effects];
-            for (k, Moved { rows, back, step }) in moved.iter().enumerate() {
+            for (k, StepColumns { rows, back, step }) in moved.iter().enumerate() {
                 let (with, plain) = (&rows[place], back.as_ref().map_or(plain, |back| &back[place]));
                 let mut put = |row: usize, change: f64| columns[row * effects + k] = (change / step) as f32;
                 (0..frames).for_each(|l| put(l, with.dn[l] - plain.dn[l]));
@@ -93,10 +93,13 @@ impl<L: FreeScene> Ground<'_, L> {
     }
 }
 
-impl<L: FreeScene> Fit<'_, L> {
-    /// Scores of effects on the light as it stands; `free`: an applied effect whose size may change with
-    /// each.
-    pub(super) fn score(&mut self, candidates: &[usize], free: Option<usize>) -> Result<Scored, String> {
+impl<L: FreeScene> SceneFit<'_, L> {
+    /// Scores of effects on the present light. `free`: an applied effect whose size may change too.
+    pub(super) fn score_effects(
+        &mut self,
+        candidates: &[usize],
+        free: Option<usize>,
+    ) -> Result<EffectScores, String> {
         let prediction = self.predict()?;
         let mut wanted: Vec<usize> = candidates.to_vec();
         wanted.extend(free);
@@ -106,10 +109,10 @@ impl<L: FreeScene> Fit<'_, L> {
         for candidate in wanted {
             let (step, from) = (probe(candidate), self.size_of(candidate));
             // One that cannot be combined with what is there is no candidate.
-            let Ok(with) = self.prepared(&self.with(candidate, from + step)) else { continue };
+            let Ok(with) = self.prepared(&self.trial_with(candidate, from + step)) else { continue };
             let is_two_sided = CANDIDATES[candidate].signs == Signs::Both && with.kernel().is_some();
             let back = match is_two_sided {
-                true => self.prepared(&self.with(candidate, from - step)).ok(),
+                true => self.prepared(&self.trial_with(candidate, from - step)).ok(),
                 false => None,
             };
             kept.push((candidate, step, back.as_ref().map(|_| -step)));
@@ -118,9 +121,9 @@ impl<L: FreeScene> Fit<'_, L> {
         }
         let mut rows = self.rows(&prepared, &prediction.light).into_iter();
         let base = rows.next().unwrap_or_default();
-        let moved: Vec<Moved> = kept
+        let moved: Vec<StepColumns> = kept
             .iter()
-            .map(|(_, step, back)| Moved {
+            .map(|(_, step, back)| StepColumns {
                 rows: rows.next().unwrap_or_default(),
                 back: back.and_then(|_| rows.next()),
                 step: step - back.unwrap_or(0.0),
@@ -137,17 +140,17 @@ impl<L: FreeScene> Fit<'_, L> {
         // Of one alone, whose size is corrected, nothing is ranked.
         match effects {
             1 => scored.column = Some((predicted, columns)),
-            _ => scored.gains = self.gains(&scored, effects, &predicted, &columns),
+            _ => scored.gains = self.column_gains(&scored, effects, &predicted, &columns),
         }
         Ok(scored)
     }
 
-    /// What each of `effects` columns gains at its best size with a step of the light, nats.
-    fn gains(
+    /// Gain of each of `effects` columns at its best size with a step of the light, nats.
+    fn column_gains(
         &self,
-        scored: &Scored,
+        scored: &EffectScores,
         effects: usize,
-        predicted: &[Predicted],
+        predicted: &[PixelPrediction],
         columns: &[Vec<f32>],
     ) -> Vec<f64> {
         let size = |k: usize| {
@@ -166,7 +169,12 @@ impl<L: FreeScene> Fit<'_, L> {
         gains
     }
 
-    fn summed(&self, mut candidates: Vec<usize>, is_with_free: bool, scores: &[Option<Score>]) -> Scored {
+    fn summed(
+        &self,
+        mut candidates: Vec<usize>,
+        is_with_free: bool,
+        scores: &[Option<Score>],
+    ) -> EffectScores {
         let effects = candidates.len();
         let (mut score, mut information, mut known) =
             (vec![0.0; effects], vec![0.0; effects * effects], vec![0.0; effects]);
@@ -214,6 +222,6 @@ impl<L: FreeScene> Fit<'_, L> {
         }
         known.truncate(candidates.len());
         let gains = Vec::new();
-        Scored { candidates, sizes, information: informations, known, gains, agreement, column: None }
+        EffectScores { candidates, sizes, information: informations, known, gains, agreement, column: None }
     }
 }

@@ -1,14 +1,13 @@
-//! How far a predicted light may be trusted, and the hints that are left of it.
+//! Estimates the variance of predicted light, and turns predictions into pseudo-measurements.
 //!
-//! Whoever predicts a pixel's light (its neighbours along the motion, a picture that moves) knows nothing of
-//! the pixel's own events. So they are the judge of what lies between frames: seen through the sensor, the
-//! predicted light must bring the voltage to a threshold when they fired, and to no frame value another one
-//! than the pixel's own. What it misses them by is its error there, and so is what two sources contradict
-//! each other by. All of it can only widen the error.
+//! A prediction of a pixel's light (by its neighbours along the motion, by a moving picture) does not use the
+//! pixel's own events, so they test it between frames. Seen through the sensor, the predicted light must
+//! bring the voltage to a threshold when they fired, and give the pixel's own frame values. The misfit is an
+//! error of the prediction, and so is the difference of two sources. Both only increase its variance.
 
 mod params;
 
-pub(crate) use params::TrustParams;
+pub(crate) use params::PseudoMeasurementParams;
 
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Duration;
@@ -19,138 +18,147 @@ use photocurrent_sensor::map::{Hint, MapFrame, PixelEvent};
 use photocurrent_sensor::model::Model;
 use photocurrent_sensor::undo::sum;
 
-/// What lies so many times of a pool away counts no more: it would weigh a part in 65,000.
+/// Distance in pooling times beyond which an innovation has no weight: it would weigh a part in 65,000.
 const FAR: f64 = 16.0;
 /// The sensor sees the predicted light in steps of at most this, ns.
 const SEEN_NS: i64 = 100_000;
 
-/// What is predicted for one instant.
+/// The predicted light at one instant.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Said {
+pub(super) struct PredictedLight {
     pub t_ns: i64,
     pub log: f64,
-    /// The variance that the contradiction of two sources shows, where there are two.
-    pub contradiction: Option<f64>,
-    /// The variance that comes of not knowing along which of several motions to ask.
-    pub doubt: f64,
+    /// Variance by the difference of two sources, where there are two.
+    pub innovation: Option<f64>,
+    /// Ambiguity variance: variance by the choice between several motions.
+    pub ambiguity: f64,
 }
 
-/// A contradiction: when, its square in terms of the variance that was expected, and what it weighs.
-type Miss = (i64, f64, f64);
+/// An innovation: instant (ns), its square over the expected variance, and its weight.
+type Innovation = (i64, f64, f64);
 
-/// The sensor as problems are posed.
+/// The sensor as modelled by the solver.
 #[derive(Clone, Debug)]
-pub(super) struct Posed {
+pub(super) struct SolverSensor {
     pub model: Model,
-    /// What effects add to the photocurrent of the event path; measurements, hints and solutions are those of
-    /// the sum.
+    /// Photocurrent that effects add on the event path; measurements, pseudo-measurements and solutions are
+    /// those of the sum.
     pub added: f64,
 }
 
-/// A pixel and what it measured.
+/// A pixel and its measurements.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Measured<'a> {
+pub(super) struct MeasuredPixel<'a> {
     /// The sensor.
-    pub sensor: &'a Posed,
+    pub sensor: &'a SolverSensor,
     pub extent: Extent,
     pub place: (usize, usize),
     pub events: &'a [PixelEvent],
     pub frames: &'a [MapFrame],
-    /// How exactly the pixel knows its light by itself, natural-log units.
+    /// Accuracy of the pixel's own estimate, natural-log units.
     pub threshold: f64,
 }
 
-/// Collects hints.
-pub(super) struct Trust {
-    params: TrustParams,
-    said: Vec<Said>,
-    /// The variance that each of them would have by itself: the floor, and what a small error of its place
-    /// brings where light changes fast.
+/// Predictions of a pixel's light, and their conversion to pseudo-measurements.
+pub(super) struct PseudoMeasurements {
+    params: PseudoMeasurementParams,
+    predictions: Vec<PredictedLight>,
+    /// Expected variance of each prediction: the floor, and the effect of a small error of its place where
+    /// light changes fast.
     expected: Vec<f64>,
-    own: Vec<Miss>,
-    /// The same of what two sources contradict each other by.
-    contradicted: Vec<Miss>,
+    own_innovations: Vec<Innovation>,
+    /// The same by the differences of two sources.
+    source_innovations: Vec<Innovation>,
     /// The predicted light.
     t_ns: Vec<i64>,
     log: Vec<f64>,
-    /// What the sensor makes of it.
-    seen: Conditional,
+    /// The sensor's response to it.
+    response: Conditional,
 }
 
-impl Trust {
-    /// With nothing collected.
-    pub(crate) fn new(params: &TrustParams) -> Trust {
-        Trust {
+impl PseudoMeasurements {
+    /// Without predictions.
+    pub(crate) fn new(params: &PseudoMeasurementParams) -> PseudoMeasurements {
+        PseudoMeasurements {
             params: *params,
-            said: Vec::new(),
+            predictions: Vec::new(),
             expected: Vec::new(),
-            own: Vec::new(),
-            contradicted: Vec::new(),
+            own_innovations: Vec::new(),
+            source_innovations: Vec::new(),
             t_ns: Vec::new(),
             log: Vec::new(),
-            seen: Conditional::default(),
+            response: Conditional::default(),
         }
     }
 
-    /// The hints of a pixel every `step_ns` of `span`, in order of time, out of what `say` predicts; none
-    /// where it has nothing to say, or the pixel's measurements disagree. Where nothing is said the pixel's
-    /// own `tracks` stand.
+    /// Pseudo-measurements of a pixel every `step_ns` of `span`, in order of time, from the predictions of
+    /// `predict`. None where it predicts nothing, or where the pixel's measurements disagree. Without a
+    /// prediction the pixel's own `tracks` are used.
     pub(crate) fn hints(
         &mut self,
-        say: impl Fn(i64) -> Option<Said>,
+        predict: impl Fn(i64) -> Option<PredictedLight>,
         tracks: &LogTracks,
         span: (i64, i64),
         step_ns: i64,
-        measured: &Measured<'_>,
+        measured: &MeasuredPixel<'_>,
         hints: &mut Vec<Hint>,
     ) {
         hints.clear();
-        if !self.look(say, tracks, span, step_ns, measured) {
+        if !self.collect_predictions(predict, tracks, span, step_ns, measured) {
             return;
         }
-        let TrustParams { floor, pooled, wide, one_sided, most_contradiction, together, one_error, .. } =
-            self.params;
-        self.judge(step_ns, measured);
-        self.contradicted.clear();
-        self.contradicted.extend(
-            self.said
+        let PseudoMeasurementParams {
+            floor,
+            pooled,
+            wide,
+            one_sided,
+            most_innovation,
+            together,
+            one_error,
+            ..
+        } = self.params;
+        self.collect_innovations(step_ns, measured);
+        self.source_innovations.clear();
+        self.source_innovations.extend(
+            self.predictions
                 .iter()
-                .filter_map(|s| s.contradiction.map(|c| (s.t_ns, (c + s.doubt) / (floor * floor), 1.0))),
+                .filter_map(|s| s.innovation.map(|c| (s.t_ns, (c + s.ambiguity) / (floor * floor), 1.0))),
         );
-        let mut contradicted = Pool::new(&self.contradicted, pooled);
-        let (mut own, mut widely) = (Pool::new(&self.own, pooled), Pool::new(&self.own, wide));
-        for (said, expected) in self.said.iter().zip(&self.expected) {
-            let contradiction = floor * floor * contradicted.at(said.t_ns);
-            let own = expected * own.at(said.t_ns);
-            let widely = expected * widely.at(said.t_ns);
-            let trust =
-                1.0 - f64::max(own, widely) / (most_contradiction * measured.threshold * measured.threshold);
-            if trust <= 0.0 {
+        let mut differences = WindowMeans::new(&self.source_innovations, pooled);
+        let (mut own, mut widely) =
+            (WindowMeans::new(&self.own_innovations, pooled), WindowMeans::new(&self.own_innovations, wide));
+        for (predicted, expected) in self.predictions.iter().zip(&self.expected) {
+            let difference = floor * floor * differences.at(predicted.t_ns);
+            let own = expected * own.at(predicted.t_ns);
+            let widely = expected * widely.at(predicted.t_ns);
+            let weight =
+                1.0 - f64::max(own, widely) / (most_innovation * measured.threshold * measured.threshold);
+            if weight <= 0.0 {
                 continue;
             }
-            let mut variance = expected + contradiction + own;
-            variance += said.contradiction.unwrap_or(variance * (one_sided - 1.0)) + said.doubt;
-            let variance = variance / (trust * trust);
+            let mut variance = expected + difference + own;
+            variance += predicted.innovation.unwrap_or(variance * (one_sided - 1.0)) + predicted.ambiguity;
+            let variance = variance / (weight * weight);
             hints.push(Hint {
-                t_ns: said.t_ns,
-                log_photocurrent: said.log,
+                t_ns: predicted.t_ns,
+                log_photocurrent: predicted.log,
                 variance: together * variance,
                 for_sigma: variance,
             });
         }
-        err_together(hints, one_error.ns());
+        share_information(hints, one_error.ns());
     }
 
-    /// Collects what is said to a pixel, and how the light would go on by that; is there anything?
-    fn look(
+    /// Collects the predictions for a pixel, and the light that they imply; returns whether there are any.
+    fn collect_predictions(
         &mut self,
-        say: impl Fn(i64) -> Option<Said>,
+        predict: impl Fn(i64) -> Option<PredictedLight>,
         tracks: &LogTracks,
         span: (i64, i64),
         step_ns: i64,
-        measured: &Measured<'_>,
+        measured: &MeasuredPixel<'_>,
     ) -> bool {
-        self.said.clear();
+        self.predictions.clear();
         self.t_ns.clear();
         self.log.clear();
         if measured.events.is_empty() {
@@ -159,10 +167,13 @@ impl Trust {
         let (x, y) = measured.place;
         let mut t_ns = span.0 + step_ns / 2;
         while t_ns < span.1 {
-            let said = say(t_ns).map(|said| Said { log: sum(measured.sensor.added, said.log), ..said });
-            self.said.extend(said);
-            if let Some(log) = said
-                .map(|said| said.log)
+            let predicted = predict(t_ns).map(|predicted| PredictedLight {
+                log: sum(measured.sensor.added, predicted.log),
+                ..predicted
+            });
+            self.predictions.extend(predicted);
+            if let Some(log) = predicted
+                .map(|predicted| predicted.log)
                 .or_else(|| tracks.at(x, y, t_ns).map(|log| sum(measured.sensor.added, log)))
             {
                 self.t_ns.push(t_ns);
@@ -170,19 +181,25 @@ impl Trust {
             }
             t_ns += step_ns;
         }
-        if self.said.is_empty() || self.t_ns.len() < 2 {
+        if self.predictions.is_empty() || self.t_ns.len() < 2 {
             return false;
         }
-        self.expect(step_ns);
+        self.expected_variances(step_ns);
         true
     }
 
-    /// What each hint may err by.
-    fn expect(&mut self, step_ns: i64) {
-        let Trust { params: TrustParams { floor, late, .. }, said, expected, .. } = self;
+    /// Expected variance of each prediction.
+    fn expected_variances(&mut self, step_ns: i64) {
+        let PseudoMeasurements {
+            params: PseudoMeasurementParams { floor, late, .. },
+            predictions: predicted,
+            expected,
+            ..
+        } = self;
         let late_ms = late.ns() as f64 * 1e-6;
         let variance = |k: usize| {
-            let (before, after) = (&said[k.saturating_sub(1)], &said[usize::min(k + 1, said.len() - 1)]);
+            let (before, after) =
+                (&predicted[k.saturating_sub(1)], &predicted[usize::min(k + 1, predicted.len() - 1)]);
             let apart_ns = after.t_ns - before.t_ns;
             let slope = if apart_ns > 0 && apart_ns <= 2 * step_ns {
                 (after.log - before.log) / (apart_ns as f64 * 1e-6)
@@ -193,23 +210,29 @@ impl Trust {
             *floor * *floor + off * off
         };
         expected.clear();
-        expected.extend((0..said.len()).map(variance));
+        expected.extend((0..predicted.len()).map(variance));
     }
 
-    /// What the pixel's own events and frames miss the predicted light by, seen through the sensor.
-    fn judge(&mut self, step_ns: i64, measured: &Measured<'_>) {
-        let Trust {
-            params: TrustParams { floor, frame_weight, .. },
-            said,
+    /// Innovations of the pixel's own events and frames against the predicted light, seen through the sensor.
+    fn collect_innovations(&mut self, step_ns: i64, measured: &MeasuredPixel<'_>) {
+        let PseudoMeasurements {
+            params: PseudoMeasurementParams { floor, frame_weight, .. },
+            predictions: predicted,
             expected,
-            own,
+            own_innovations: own,
             t_ns,
             log,
-            seen,
+            response: seen,
             ..
         } = self;
-        let Measured { sensor: Posed { model: sensor, .. }, extent, place: (x, y), events, frames, .. } =
-            *measured;
+        let MeasuredPixel {
+            sensor: SolverSensor { model: sensor, .. },
+            extent,
+            place: (x, y),
+            events,
+            frames,
+            ..
+        } = *measured;
         own.clear();
         let track = Track::new(t_ns, log, SEEN_NS);
         let site = Site { x: x as u32, y: y as u32, width: extent.width, height: extent.height, seed: 0 };
@@ -220,13 +243,13 @@ impl Trust {
             seen,
         );
         let near = |t_ns: i64| {
-            let after = said.partition_point(|said| said.t_ns < t_ns);
+            let after = predicted.partition_point(|predicted| predicted.t_ns < t_ns);
             let at = [after.checked_sub(1), Some(after)]
                 .into_iter()
                 .flatten()
-                .filter(|k| *k < said.len())
-                .min_by_key(|k| (said[*k].t_ns - t_ns).abs());
-            at.filter(|k| (said[*k].t_ns - t_ns).abs() <= step_ns).map(|k| expected[k])
+                .filter(|k| *k < predicted.len())
+                .min_by_key(|k| (predicted[*k].t_ns - t_ns).abs());
+            at.filter(|k| (predicted[*k].t_ns - t_ns).abs() <= step_ns).map(|k| expected[k])
         };
         // Thresholds jump from event to event, as far as that is stated.
         let noise = sensor.threshold_noise * sensor.threshold_noise;
@@ -244,9 +267,9 @@ impl Trust {
             last = here;
         }
         for (frame, dn) in frames.iter().zip(&seen.dn).filter(|(frame, _)| !frame.saturated) {
-            let is_said = said.iter().any(|s| (frame.start_ns..frame.end_ns).contains(&s.t_ns));
+            let is_predicted = predicted.iter().any(|s| (frame.start_ns..frame.end_ns).contains(&s.t_ns));
             let (there, predicted) = (frame.dn - sensor.number.black_level, dn - sensor.number.black_level);
-            if is_said && there > frame.sigma_dn && predicted > 0.0 {
+            if is_predicted && there > frame.sigma_dn && predicted > 0.0 {
                 let (off, noise) = (libm::log(predicted / there), frame.sigma_dn / there);
                 // An edge that is a little late changes little over an exposure: a frame allows for the floor
                 // alone, and for its noise.
@@ -261,8 +284,9 @@ impl Trust {
     }
 }
 
-/// Lets all hints within a window of time around each count as one where the posterior variance is asked for.
-fn err_together(hints: &mut [Hint], within_ns: i64) {
+/// Reduces the information of pseudo-measurements in the posterior variance: all within a window count as
+/// one.
+fn share_information(hints: &mut [Hint], within_ns: i64) {
     let half_ns = within_ns / 2;
     let (mut from, mut to) = (0, 0);
     for n in 0..hints.len() {
@@ -277,19 +301,19 @@ fn err_together(hints: &mut [Hint], within_ns: i64) {
     }
 }
 
-/// Means of squares around instants that are asked in rising order; each weighs less the farther away it is,
-/// and a little of one is in all of them.
-struct Pool<'a> {
+/// Weighted means of squares around instants in rising order. Weights fall with the distance, and a small
+/// prior is included.
+struct WindowMeans<'a> {
     /// Instants, squares, weights, in order of time.
-    list: &'a [Miss],
+    list: &'a [Innovation],
     over_ms: f64,
-    /// Those before are too far away for all instants to come.
+    /// Index of the first innovation near enough for the instants to come.
     first: usize,
 }
 
-impl Pool<'_> {
-    fn new(list: &[Miss], over: Duration) -> Pool<'_> {
-        Pool { list, over_ms: over.ns() as f64 * 1e-6, first: 0 }
+impl WindowMeans<'_> {
+    fn new(list: &[Innovation], over: Duration) -> WindowMeans<'_> {
+        WindowMeans { list, over_ms: over.ns() as f64 * 1e-6, first: 0 }
     }
 
     fn at(&mut self, t_ns: i64) -> f64 {
@@ -312,7 +336,7 @@ impl Pool<'_> {
 mod tests {
     use super::*;
     use photocurrent_core::{Exposure, Sensor, TrackBand};
-    use photocurrent_scene::film::Fired;
+    use photocurrent_scene::film::EventTimes;
     use photocurrent_sensor::forward::LinearLight;
     use std::sync::Arc;
 
@@ -330,20 +354,20 @@ mod tests {
     /// Of a pixel that sees these squares with thresholds of 0.4, when they are predicted late and too
     /// bright.
     fn hints(late_ms: f64, brighter: f64) -> Vec<Hint> {
-        doubted(late_ms, brighter, 0.0)
+        hints_with_ambiguity(late_ms, brighter, 0.0)
     }
 
-    fn doubted(late_ms: f64, brighter: f64, doubt: f64) -> Vec<Hint> {
+    fn hints_with_ambiguity(late_ms: f64, brighter: f64, ambiguity: f64) -> Vec<Hint> {
         let mut sensor = Sensor::unknown("test");
         sensor.comparator.threshold_on = Some(0.4);
         sensor.comparator.threshold_off = Some(0.4);
         sensor.frames.gain = Some(GAIN);
-        let sensor = Posed { model: Model::of(&sensor), added: 0.0 };
+        let sensor = SolverSensor { model: Model::of(&sensor), added: 0.0 };
         let light: Vec<(i64, f64)> =
             (0..=4800).map(|n| (n * 10_000, libm::exp(squares(n as f64 * 0.01)))).collect();
         let mut band = TrackBand::begin(0, 1);
         band.push(light.iter().map(|(t, i)| (*t, *i as f32)));
-        let tracks = LogTracks::new(EXTENT, band, &Arc::new(Fired::new(std::iter::empty())));
+        let tracks = LogTracks::new(EXTENT, band, &Arc::new(EventTimes::new(std::iter::empty())));
         // Each edge is 2 high: a crossing of 0.4 every tenth of a millisecond.
         let edges = (0..8).flat_map(|edge| {
             [0.1, 0.2, 0.3, 0.4]
@@ -365,15 +389,15 @@ mod tests {
             }
         };
         let frames: Vec<MapFrame> = (0..5).map(frame).collect();
-        let say = |t_ns: i64| {
-            Some(Said {
+        let predict = |t_ns: i64| {
+            Some(PredictedLight {
                 t_ns,
                 log: squares(t_ns as f64 * 1e-6 - late_ms + 12.0) + brighter,
-                contradiction: Some(0.0),
-                doubt,
+                innovation: Some(0.0),
+                ambiguity,
             })
         };
-        let measured = Measured {
+        let measured = MeasuredPixel {
             sensor: &sensor,
             extent: EXTENT,
             place: (0, 0),
@@ -382,8 +406,8 @@ mod tests {
             threshold: 0.4,
         };
         let mut hints = Vec::new();
-        Trust::new(&TrustParams::default()).hints(
-            say,
+        PseudoMeasurements::new(&PseudoMeasurementParams::default()).hints(
+            predict,
             &tracks,
             (0, 48_000_000),
             100_000,
@@ -394,30 +418,32 @@ mod tests {
     }
 
     #[test]
-    fn edges_that_come_a_little_late_leave_what_lies_between_them_trusted() {
+    fn edges_that_come_a_little_late_keep_the_variance_between_them() {
         let hints = hints(0.03, 0.0);
         let between = |hint: &&Hint| (2.0..5.0).contains(&(hint.t_ns as f64 * 1e-6 % 6.0));
         let (flat, steep): (Vec<&Hint>, Vec<&Hint>) = hints.iter().partition(between);
-        // Four edges of eight bound at least eighteen milliseconds of rest, asked ten times a millisecond.
+        // Four edges of eight bound at least eighteen milliseconds of rest, sampled ten times a millisecond.
         assert!(flat.len() > 180, "{}", flat.len());
         let worst = flat.iter().map(|hint| hint.variance).fold(0.0, f64::max);
         assert!(worst < 0.1 * 0.1, "{worst}");
-        let floor = TrustParams::default().floor;
+        let floor = PseudoMeasurementParams::default().floor;
         // Where they are steep they are off by up to 0.12.
-        let is_doubted = |hint: &&&Hint| {
+        let is_widened = |hint: &&&Hint| {
             (hint.log_photocurrent - squares(hint.t_ns as f64 * 1e-6)).abs() < 1e-6
                 || hint.variance > 2.0 * floor * floor
         };
-        assert_eq!(steep.iter().filter(is_doubted).count(), steep.len());
+        assert_eq!(steep.iter().filter(is_widened).count(), steep.len());
     }
 
     #[test]
-    fn what_is_in_doubt_is_no_more_exact_than_its_doubt() {
-        let (plain, doubted) = (hints(0.0, 0.0), doubted(0.0, 0.0, 0.04));
-        assert_eq!(plain.len(), doubted.len());
+    fn an_ambiguous_prediction_has_at_least_its_ambiguity_variance() {
+        let (plain, with_ambiguity) = (hints(0.0, 0.0), hints_with_ambiguity(0.0, 0.0, 0.04));
+        assert_eq!(plain.len(), with_ambiguity.len());
         assert!(
             plain.iter().any(|hint| hint.variance < 0.01)
-                && doubted.iter().all(|hint| hint.variance >= TrustParams::default().together * 0.04)
+                && with_ambiguity
+                    .iter()
+                    .all(|hint| hint.variance >= PseudoMeasurementParams::default().together * 0.04)
         );
     }
 
@@ -426,13 +452,14 @@ mod tests {
         let hints = hints(0.0, 0.0);
         // All lie within 48 ms: the information of all together is the mean one of a single hint.
         let information = hints.iter().map(|hint| 1.0 / hint.for_sigma).sum::<f64>();
-        let single = hints.iter().map(|hint| TrustParams::default().together / hint.variance).sum::<f64>()
-            / hints.len() as f64;
+        let single =
+            hints.iter().map(|hint| PseudoMeasurementParams::default().together / hint.variance).sum::<f64>()
+                / hints.len() as f64;
         assert!((information / single - 1.0).abs() < 1e-9, "{information} and {single}");
-        // Those who trust them more hold the light more by them, and know it no better.
-        for (caution, held, known) in [(0.25, 0.25, 1.0), (4.0, 4.0, 4.0)] {
+        // A smaller variance pulls the estimate harder but must not narrow its posterior.
+        for (factor, held, known) in [(0.25, 0.25, 1.0), (4.0, 4.0, 4.0)] {
             let mut taken = hints.clone();
-            crate::refine::caution::take_care(&mut taken, caution);
+            crate::refine::variance_factor::scale_variances(&mut taken, factor);
             assert!(
                 taken.iter().zip(&hints).all(|(now, then)| now.variance == held * then.variance
                     && now.for_sigma == known * then.for_sigma)
@@ -447,12 +474,12 @@ mod tests {
         let mut hints: Vec<Hint> = (0..1000)
             .map(|k| Hint { t_ns: k * 1_000_000, log_photocurrent: 4.0, variance: 1.0, for_sigma: 1.0 })
             .collect();
-        err_together(&mut hints, 200_000_000);
+        share_information(&mut hints, 200_000_000);
         assert_eq!([0, 500, 999].map(|n: usize| hints[n].for_sigma), [101.0, 201.0, 101.0]);
     }
 
     #[test]
-    fn what_is_too_bright_over_exposures_is_not_trusted() {
+    fn predictions_too_bright_over_exposures_are_rejected() {
         assert!(hints(0.0, 0.9).is_empty());
         assert!(!hints(0.0, 0.0).is_empty());
     }
