@@ -5,7 +5,8 @@ pub mod demosaic;
 pub mod grey;
 mod job;
 mod on_card;
-#[cfg(all(test, feature = "gpu"))]
+#[cfg(test)]
+#[cfg(feature = "gpu")]
 mod on_card_tests;
 mod reading;
 pub mod rows;

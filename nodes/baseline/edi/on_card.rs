@@ -162,7 +162,8 @@ impl Row {
     }
 }
 
-#[cfg(all(test, feature = "gpu"))]
+#[cfg(test)]
+#[cfg(feature = "gpu")]
 mod tests {
     use crate::backend::Backend;
     use crate::backend::testing::has_card;

@@ -15,12 +15,12 @@ use crate::failure::{Done, Failure, usage, write_whole};
 use crate::file_kind::FileKind;
 use crate::numbers::{grouped, human_bytes, in_ms};
 use crate::terminal::{print, say};
+use clap::Args as ClapArgs;
 use films::{Films, in_binary, in_text};
 use photocurrent_core::TimeSpan;
 use photocurrent_core::quantity::Duration;
 use photocurrent_nodes::show::Packed;
 use photocurrent_page::{PlayPage, PlayedEvents};
-use clap::Args as ClapArgs;
 use source::Source;
 use std::path::PathBuf;
 

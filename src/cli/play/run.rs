@@ -1,8 +1,8 @@
 //! What a run made: its events, what was captured, and every sequence that was rendered.
 
+use super::PlayOptions;
 use super::films::Film;
 use super::source::{Source, stretch};
-use crate::args::PlayOptions;
 use crate::failure::{Failure, usage};
 use crate::report::run::{Output, Run};
 use crate::report::{best, sensor};
