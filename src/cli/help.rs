@@ -41,7 +41,7 @@ fn page(command: &clap::Command) -> String {
             let _ = writeln!(text, "{:<15}{name:<13}{about}", if at == 0 { group } else { "" });
         }
     }
-    text + "\nFirst steps: photocurrent run pipelines/quickstart.toml; photocurrent init FILE"
+    text + "First steps: photocurrent run pipelines/quickstart.toml; photocurrent init FILE"
 }
 
 /// Prints a manual page, or writes all of them.
