@@ -67,6 +67,10 @@ impl Node for MeanLevel {
         Ok(MeanLevel { params })
     }
 
+    fn metrics(_params: &Params) -> Vec<String> {
+        vec!["mean_dn".into()]
+    }
+
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         inputs.frames("frames")?;
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])

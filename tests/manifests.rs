@@ -274,6 +274,19 @@ fn a_manifest_that_is_not_there_is_named() {
     assert!(done.stderr.contains("no/such/pipeline.toml"), "{}", done.stderr);
 }
 
+/// The examination without the variants whose recordings `make concealed` makes.
+fn of_stored_recordings(path: &Path) -> String {
+    let data = root().join("data");
+    let text = fs::read_to_string(path).expect("the examination");
+    let is_stored = |line: &&str| {
+        let named = line.split_once("concealed/recordings/").and_then(|(_, rest)| rest.get(..11));
+        named.is_none_or(|name| data.join("concealed/recordings").join(name).exists())
+    };
+    let lines: Vec<&str> = text.lines().filter(is_stored).collect();
+    assert!(lines.len() > 50, "six recordings are stored");
+    lines.join("\n").replace("../../data", data.to_str().expect("a path in UTF-8"))
+}
+
 #[test]
 fn every_pipeline_passes_its_check() {
     let mut pipelines = BTreeSet::new();
@@ -282,6 +295,13 @@ fn every_pipeline_passes_its_check() {
     let mut checked = 0;
     for path in pipelines.iter().filter(|path| path.extension().is_some_and(|extension| extension == "toml"))
     {
+        let stored = bench.path("concealed.toml");
+        let path = if path.ends_with("diagnose/concealed.toml") {
+            fs::write(&stored, of_stored_recordings(path)).expect("a manifest");
+            &stored
+        } else {
+            path
+        };
         let done = bench.run(&["check", path.to_str().expect("a path in UTF-8")]);
         assert_eq!(done.code, 0, "{}:\n{}", path.display(), done.stderr);
         assert_eq!(done.stdout, "");

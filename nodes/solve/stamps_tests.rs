@@ -194,8 +194,8 @@ fn a_constant_latency_that_is_stated_costs_nothing() {
 
 #[test]
 fn stamps_of_a_stated_resolution_are_nearly_as_good_as_exact_ones() {
-    // 24 pixels choose noise and prior, and nanoseconds decide between settings that err by up to a third more
-    // or less: only the mean over phases of the light compares stamps.
+    // 24 pixels choose noise and prior, and nanoseconds decide between settings that err by up to a third
+    // more or less: only the mean over phases of the light compares stamps.
     let (mut exact, mut coarse) = (0.0, 0.0);
     for phase in [0.0, 0.001, 0.01, 0.1, 0.3, 1.0, 2.0, 3.0] {
         let (events, frames) = record_at(phase);

@@ -1,5 +1,6 @@
 //! The arguments: what clap turns into help, completions and checks.
 
+use crate::numbers::bytes;
 use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
 use photocurrent_core::Rows;
 use photocurrent_core::quantity::Duration;
@@ -55,7 +56,7 @@ pub enum Command {
     /// Make one HTML page that plays a recording or a run
     ///
     /// Events, frames and, for a run, what was reconstructed, side by side in time.
-    Play(crate::play::PlayOptions),
+    Play(crate::play::options::PlayOptions),
     /// Write a recording, or a part, in another format
     Convert(ConvertOptions),
     /// Say where recording and sensor description differ
@@ -659,37 +660,9 @@ fn crop(text: &str) -> Result<Crop, String> {
     }
 }
 
-/// `800MB`, `8GiB`, `1000000`: a number of bytes.
-pub fn bytes(text: &str) -> Result<u64, String> {
-    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
-    let (number, unit) = (text[..split].trim(), text[split..].trim());
-    let scale = match unit {
-        "" | "B" => 1.0,
-        "kB" | "KB" => 1e3,
-        "MB" | "M" => 1e6,
-        "GB" | "G" => 1e9,
-        "TB" => 1e12,
-        "KiB" => 1024.0,
-        "MiB" => 1024.0 * 1024.0,
-        "GiB" => 1024.0 * 1024.0 * 1024.0,
-        _ => return Err(format!("unknown unit `{unit}`; use B, kB, MB, GB, TB, KiB, MiB or GiB")),
-    };
-    match number.parse::<f64>() {
-        Ok(number) if number.is_finite() && number >= 0.0 => Ok((number * scale) as u64),
-        _ => Err(format!("`{number}` is not a number of bytes; such as 800MB or 8GiB")),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn sizes_are_read_with_their_unit() {
-        assert_eq!(bytes("1.5GB"), Ok(1_500_000_000));
-        assert_eq!(bytes("2 GiB"), Ok(2 << 30));
-        assert!(bytes("12 parsec").is_err() && bytes("-1").is_err() && bytes("").is_err());
-    }
 
     #[test]
     fn the_arguments_are_well_formed() {

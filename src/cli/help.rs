@@ -28,7 +28,7 @@ pub fn command() -> clap::Command {
 
 fn page(command: &clap::Command) -> String {
     let mut text = format!(
-        "{}\nUsage: photocurrent <COMMAND>; what one takes: photocurrent help <COMMAND>\n\n",
+        "{}\nUsage: photocurrent <COMMAND>; what one takes: photocurrent help <COMMAND>\n",
         command.get_about().map(ToString::to_string).unwrap_or_default()
     );
     for (group, names) in GROUPS {
@@ -41,7 +41,7 @@ fn page(command: &clap::Command) -> String {
             let _ = writeln!(text, "{:<15}{name:<13}{about}", if at == 0 { group } else { "" });
         }
     }
-    text + "First steps: photocurrent run pipelines/quickstart.toml; photocurrent init FILE"
+    text + "\nFirst steps: photocurrent run pipelines/quickstart.toml; photocurrent init FILE"
 }
 
 /// Prints a manual page, or writes all of them.

@@ -43,3 +43,36 @@ pub fn human_seconds(seconds: f64) -> String {
         s => format!("{:.0} min {:.0} s", (s / 60.0).floor(), s % 60.0),
     }
 }
+
+/// `800MB`, `8GiB`, `1000000`: a number of bytes.
+pub fn bytes(text: &str) -> Result<u64, String> {
+    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
+    let (number, unit) = (text[..split].trim(), text[split..].trim());
+    let scale = match unit {
+        "" | "B" => 1.0,
+        "kB" | "KB" => 1e3,
+        "MB" | "M" => 1e6,
+        "GB" | "G" => 1e9,
+        "TB" => 1e12,
+        "KiB" => 1024.0,
+        "MiB" => 1024.0 * 1024.0,
+        "GiB" => 1024.0 * 1024.0 * 1024.0,
+        _ => return Err(format!("unknown unit `{unit}`; use B, kB, MB, GB, TB, KiB, MiB or GiB")),
+    };
+    match number.parse::<f64>() {
+        Ok(number) if number.is_finite() && number >= 0.0 => Ok((number * scale) as u64),
+        _ => Err(format!("`{number}` is not a number of bytes; such as 800MB or 8GiB")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_read_with_their_unit() {
+        assert_eq!(bytes("1.5GB"), Ok(1_500_000_000));
+        assert_eq!(bytes("2 GiB"), Ok(2 << 30));
+        assert!(bytes("12 parsec").is_err() && bytes("-1").is_err() && bytes("").is_err());
+    }
+}

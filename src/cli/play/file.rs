@@ -3,8 +3,8 @@
 //! A page for looking needs less than a solver: what a file does not record of its frames (exposure, row
 //! time, curve of the values) is assumed here and stated on the page, unless the user states it.
 
-use super::PlayOptions;
 use super::films::Film;
+use super::options::PlayOptions;
 use super::source::{Source, stretch};
 use crate::declared::refused;
 use crate::failure::{Failure, usage};

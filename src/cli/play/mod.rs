@@ -7,57 +7,21 @@
 
 mod file;
 mod films;
+pub mod options;
 mod run;
 mod source;
 
-use crate::args::bytes;
 use crate::failure::{Done, Failure, usage, write_whole};
 use crate::file_kind::FileKind;
 use crate::numbers::{grouped, human_bytes, in_ms};
 use crate::terminal::{print, say};
-use clap::Args as ClapArgs;
 use films::{Films, in_binary, in_text};
+use options::PlayOptions;
 use photocurrent_core::TimeSpan;
 use photocurrent_core::quantity::Duration;
 use photocurrent_nodes::show::Packed;
 use photocurrent_page::{PlayPage, PlayedEvents};
 use source::Source;
-use std::path::PathBuf;
-
-/// Arguments of `play`.
-#[derive(ClapArgs)]
-pub struct PlayOptions {
-    /// A recording of any format (with its frames and their stamps where they lie elsewhere), a cached result
-    /// with events or frames, a manifest that was run, or the folder that a run wrote to
-    #[arg(required = true, value_name = "FILE|MANIFEST|RUN")]
-    pub files: Vec<PathBuf>,
-    /// The page to write [default: play.html in the folder of the run, or in out/NAME of the recording]
-    #[arg(short, long, value_name = "FILE")]
-    pub output: Option<PathBuf>,
-    /// Leave out what is before this time, from the earliest stamp of a recording, on the clock of a run:
-    /// 250ms
-    #[arg(long, value_name = "TIME")]
-    pub from: Option<Duration>,
-    /// Leave out what is at or after this time
-    #[arg(long, value_name = "TIME")]
-    pub to: Option<Duration>,
-    /// The page may be so large: pictures are thinned out and made smaller, and events left out at random,
-    /// until it fits
-    #[arg(long, value_name = "SIZE", value_parser = bytes, default_value = "25MB")]
-    pub max_size: u64,
-    /// Of an ablation only variants with this name, or part of it
-    #[arg(long = "variant", value_name = "NAME")]
-    pub variants: Vec<String>,
-    /// Where results of the run are kept [default: as the run says]
-    #[arg(long, value_name = "FOLDER")]
-    pub cache: Option<PathBuf>,
-    /// Say only what went wrong
-    #[arg(short, long)]
-    pub quiet: bool,
-    /// What the files do not say
-    #[command(flatten)]
-    pub declared: crate::declared::DeclaredOptions,
-}
 
 /// Room for everything but pictures and events, bytes.
 const REST: u64 = 80_000;

@@ -1,7 +1,7 @@
 //! What a run made: its events, what was captured, and every sequence that was rendered.
 
-use super::PlayOptions;
 use super::films::Film;
+use super::options::PlayOptions;
 use super::source::{Source, stretch};
 use crate::failure::{Failure, usage};
 use crate::report::run::{Output, Run};

@@ -1,7 +1,7 @@
 //! What is played, wherever it comes from.
 
-use super::PlayOptions;
 use super::films::Film;
+use super::options::PlayOptions;
 use crate::failure::{Failure, usage};
 use crate::numbers::in_ms;
 use photocurrent_core::quantity::Duration;

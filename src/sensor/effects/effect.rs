@@ -357,15 +357,25 @@ pub trait Effect: Send + Sync {
     fn impulses(&self, _site: &Site, _start_ns: i64, _end_ns: i64, _out: &mut Vec<Impulse>) {}
 
     /// Changes the thresholds that hold from the reset at `t_reset_ns` on; asked once at the start (without a
-    /// last event) and after each event.
+    /// last event) and after each event. Without a form of its own, adds [`Effect::offsets`].
     fn thresholds(
         &self,
-        _site: &Site,
+        site: &Site,
         _history: &History,
         _random: &mut Random,
         _t_reset_ns: i64,
-        _thresholds: &mut Thresholds,
+        thresholds: &mut Thresholds,
     ) {
+        if let Some(offsets) = self.offsets(site) {
+            thresholds.on += offsets.on;
+            thresholds.off += offsets.off;
+        }
+    }
+
+    /// What is added to the pixel's thresholds at every reset, natural-log units, where that is all that
+    /// [`Effect::thresholds`] does: the simulator takes it once a pixel.
+    fn offsets(&self, _site: &Site) -> Option<Thresholds> {
+        None
     }
 
     /// Do thresholds go on to change while the pixel waits for its next event ([`Effect::waiting`])?

@@ -11,11 +11,9 @@
 
 use super::sought::{Measure, SPREAD, Search, Size, Sought};
 use super::{
-    Chance, Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds,
-    Unit, threshold_scale,
+    Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit,
+    threshold_scale,
 };
-use photocurrent_core::random::Random;
-use std::cell::Cell;
 
 /// The catalogue entry.
 pub(super) const KIND: EffectKind = EffectKind {
@@ -67,37 +65,14 @@ pub(super) struct ThresholdMismatch {
     pub sigma: f64,
 }
 
-/// The two standard normal numbers of a pixel. Those of the last one are kept: a pixel needs them at every
-/// event.
-fn normals(site: &Site) -> [f64; 2] {
-    thread_local! {
-        static LAST: Cell<Option<(Site, [f64; 2])>> = const { Cell::new(None) };
-    }
-    if let Some((_, drawn)) = LAST.get().filter(|(of, _)| of == site) {
-        return drawn;
-    }
-    let mut own = site.random(KIND.decl.id);
-    let drawn = [own.normal(), own.normal()];
-    LAST.set(Some((*site, drawn)));
-    drawn
-}
-
 impl Effect for ThresholdMismatch {
     fn id(&self) -> &'static str {
         KIND.decl.id
     }
 
-    fn thresholds(
-        &self,
-        site: &Site,
-        _history: &History,
-        _random: &mut Random,
-        _t_reset_ns: i64,
-        thresholds: &mut Thresholds,
-    ) {
-        let [on, off] = normals(site);
-        thresholds.on += self.sigma * on;
-        thresholds.off += self.sigma * off;
+    fn offsets(&self, site: &Site) -> Option<Thresholds> {
+        let mut own = site.random(KIND.decl.id);
+        Some(Thresholds { on: self.sigma * own.normal(), off: self.sigma * own.normal() })
     }
 
     fn chance(&self) -> Option<Chance> {
@@ -107,9 +82,11 @@ impl Effect for ThresholdMismatch {
 
 #[cfg(test)]
 mod tests {
+    use super::super::History;
     use super::super::simulated::{MS, Samples, ideal_pixel, intervals_s, recorded_at};
     use super::super::testing::{correlation, described, moments, sites};
     use super::*;
+    use photocurrent_core::random::Random;
     use serde_json::json;
 
     fn all(t_reset_ns: i64, events: u64) -> (Vec<f64>, Vec<f64>) {

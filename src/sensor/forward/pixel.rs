@@ -118,6 +118,7 @@ pub fn simulate(
         leak,
         noise,
         streams,
+        offsets: chain.effects.iter().map(|effect| effect.offsets(site)).collect(),
         front,
         drift: 0.0,
         reference: 0.0,
@@ -190,6 +191,8 @@ struct Run<'a, N> {
     leak: Leak,
     noise: &'a mut N,
     streams: Vec<Streams>,
+    /// [`Effect::offsets`] of each effect.
+    offsets: Vec<Option<Thresholds>>,
     front: Front,
     /// Leaks and impulses of the comparator's input so far; the reference is held in the same units, drift
     /// included.
@@ -488,7 +491,14 @@ impl<N: PixelNoise> Run<'_, N> {
             on: pixel.threshold_on + self.threshold_offset,
             off: pixel.threshold_off + self.threshold_offset,
         };
-        for (effect, streams) in self.chain.effects.iter().zip(&mut self.streams) {
+        for ((effect, streams), offsets) in
+            self.chain.effects.iter().zip(&mut self.streams).zip(&self.offsets)
+        {
+            if let Some(offsets) = offsets {
+                thresholds.on += offsets.on;
+                thresholds.off += offsets.off;
+                continue;
+            }
             effect.thresholds(self.site, &self.history, &mut streams.thresholds, t_reset_ns, &mut thresholds);
         }
         self.drawn = thresholds;
