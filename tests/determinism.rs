@@ -81,11 +81,11 @@ fn pixels_that_wait_for_each_other_do_not_depend_on_threads_or_the_height_of_ban
 /// change*. Then record the new values: `UPDATE_EXPECT=1 cargo test --test photocurrent determinism` prints
 /// them.
 const GOLDEN: [(&str, &str); 5] = [
-    ("recording.events", "6e5cdb3504fb96babc7a4f410da18315aeee2a7820c3a6372a3163df8a7ae5c7"),
+    ("recording.events", "89d71da92dd3c761a10386e9672e831b6402dffe37f7fa2ebbea6fd443f00e35"),
     ("recording.frames", "9a8002d8e76271df977dbcec4b082e5445e4c49103835a9acbd35fdab6bd7e77"),
-    ("solve.tracks", "472fbe80063c5f92f4efc5dc55456a045948c57a518990eabf03e4a858c6d879"),
-    ("render.frames", "87eeee931a8746c774cf77066ab6c861eb179206a0817399605a18760f7fa01f"),
-    ("edi.frames", "abd2a6ff0af419cf2310187cd181fc28965a88cf48ab93e79010378e5300a897"),
+    ("solve.tracks", "af1a998d6823cfbcc33bedcd0e9bc57afab82c5c06aa612981d92f3b324085e3"),
+    ("render.frames", "75f187354b0d70f8bc9dff1bed06165abc7799be42d0e24a97821a040a568c2d"),
+    ("edi.frames", "4df4bbaa88b4bf44c4f55cfa84ed663166f16e81150b6cd99a5547d13f433568"),
 ];
 
 #[test]

@@ -10,8 +10,8 @@
 //! `dV / dtheta = u - V`, `u = ln i`, for any course of `tau`. Light is linear in time within a step. `1 /
 //! tau` is taken at five instants a quarter of the step apart, and as the polynomial through them (Boole's
 //! rule gives theta); `u` as the polynomial in theta through the same instants; for it the voltage has a
-//! closed form. The error of a step is of fifth order in the change of `ln i`; constant light is exact over any
-//! length, and so is a time constant of zero.
+//! closed form. The error of a step is of fifth order in the change of `ln i`; constant light is exact over
+//! any length, and so is a time constant of zero.
 
 use super::light::LinearLight;
 use crate::elementary;
