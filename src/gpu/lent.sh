@@ -16,8 +16,7 @@
 #   --noise VALUE       noise of events, stated: nothing is chosen then, which is the processor's part (chosen)
 #   --scale FACTOR      all time limits times this: a slow machine needs more (1)
 #
-# Every step has its own time limit; together they are below 10 minutes with the program built before, on 16
-# cores. A step that fails or runs out of time is a row of the table, and the others go on.
+# Every step has its own time limit; together they are 675 s with the program built before. A step that fails or runs out of time is a row of the table, and the others go on.
 set -u
 cd "$(dirname "$0")/../.." || exit 2
 
