@@ -186,8 +186,8 @@ mod tests {
             ("leak_events", serde_json::json!({"rate": "40 Hz"}), 0.5),
             ("threshold_scale", serde_json::json!({"fraction": 0.3}), 1.0),
             ("exposure_time", serde_json::json!({"difference": "1 ms"}), 6.0),
-            // 0.7 to 1.7 dB with 13 to 18 frames; with other instants of the same events, some nanoseconds
-            // off, it was above 3 dB: 120 pixels choose noise and prior.
+            // 0.7 to 1.7 dB with 13 to 18 frames. It was above 3 dB before the simulator took longer steps;
+            // why it gains less is not known (120 pixels choose noise and prior).
             ("image_lag", serde_json::json!({"fraction": 0.2}), 0.8),
         ] {
             let effects: EffectParameters =
